@@ -1,0 +1,28 @@
+//! Numbers, poses, cameras, images, pyramids, Gaussian maps and deterministic parallelism.
+//!
+//! Everything above this crate shares these types, and this crate knows of nothing above it.
+//! Reading order: [`real`] (where every transcendental function comes from) → [`so3`], [`se3`]
+//! (poses) → [`camera`] (projection, distortion) → [`image`], [`pyramid`] → [`gaussian`], [`sh`]
+//! (the map) → [`par`] (threads that never change a result).
+
+pub mod camera;
+pub mod gaussian;
+pub mod ids;
+pub mod image;
+pub mod par;
+pub mod pyramid;
+pub mod real;
+pub mod rng;
+pub mod se3;
+pub mod sh;
+pub mod so3;
+
+pub use camera::{Camera, CameraError, Distortion};
+pub use gaussian::{GaussianMap, NewGaussian};
+pub use ids::{FrameId, KeyframeId, Label, LandmarkId};
+pub use image::{DepthImage, GrayImage, Image, MaskImage, RgbImage};
+pub use par::Par;
+pub use real::Real;
+pub use rng::Rng;
+pub use se3::Se3;
+pub use so3::So3;

@@ -1,0 +1,1 @@
+//! TUM and BONN RGB-D recordings, archives, calibration, trajectories and PLY maps

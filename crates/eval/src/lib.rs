@@ -1,0 +1,1 @@
+//! Trajectory alignment, ATE, RPE, image metrics, metrics.json and report.html

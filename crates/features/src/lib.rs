@@ -1,0 +1,1 @@
+//! FAST, ORB, Hamming matching, pyramidal Lucas-Kanade and two-view geometry

@@ -1,0 +1,1 @@
+//! Golden cases: format, .npy codec, tolerance table, comparators

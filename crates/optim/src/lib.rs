@@ -1,0 +1,1 @@
+//! Robust kernels, Levenberg-Marquardt, pose-only optimisation, finite-difference checks

@@ -1,0 +1,1 @@
+//! Gaussian splat rasterizer on the CPU

@@ -1,0 +1,1 @@
+//! The GARAD-SLAM pipeline: tracker, local map, keyframes, mapper

@@ -1,0 +1,1 @@
+//! Dynamic RGB-D scenes with exact poses, depth, flow and masks

@@ -1,0 +1,2 @@
+//! The `garad` command line.
+fn main() {}
