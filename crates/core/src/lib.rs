@@ -16,6 +16,7 @@ pub mod rng;
 pub mod se3;
 pub mod sh;
 pub mod so3;
+pub mod trajectory;
 
 pub use camera::{Camera, CameraError, Distortion};
 pub use gaussian::{GaussianMap, NewGaussian};
@@ -26,3 +27,4 @@ pub use real::Real;
 pub use rng::Rng;
 pub use se3::Se3;
 pub use so3::So3;
+pub use trajectory::StampedPose;
