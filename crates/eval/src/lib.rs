@@ -1,1 +1,22 @@
-//! Trajectory alignment, ATE, RPE, image metrics, metrics.json and report.html
+//! How good is a run: trajectories, pictures, labels; and the pages that say so.
+//!
+//! Reading order: [`associate`] (which estimate belongs to which truth) → [`align`] (the best
+//! rigid motion between two point lists) → [`ate`], [`rpe`] (trajectory errors, the numbers of
+//! the papers) → [`image_metrics`], [`labels`] (pictures and segmentations) → [`metrics`]
+//! (`metrics.json`) → [`plot`], [`report`] (`report.html`).
+//!
+//! No function here reads a file or a clock: values in, values out.
+
+pub mod align;
+pub mod associate;
+pub mod ate;
+pub mod error;
+pub mod rpe;
+pub mod stats;
+
+pub use align::{Alignment, Sim3, align_points, align_trajectory};
+pub use associate::{MAX_DT_S, associate, nearest_in_time};
+pub use ate::{Ate, AteOptions, AtePoint, ate};
+pub use error::EvalError;
+pub use rpe::{Rpe, RpeDelta, RpeOptions, rpe};
+pub use stats::Stats;

@@ -1,0 +1,68 @@
+//! [`EvalError`]: inputs that cannot be judged.
+
+use thiserror::Error;
+
+/// Why there is no figure.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum EvalError {
+    /// Fewer pairs than the figure needs.
+    #[error("{got} pairs, at least {needed} are needed")]
+    TooFewPairs {
+        /// Pairs there are.
+        got: usize,
+        /// Pairs the figure is defined for.
+        needed: usize,
+    },
+    /// No estimate has a ground-truth pose near it in time.
+    #[error(
+        "no pair of poses within {max_dt_s} s: ground truth covers [{}, {}] s, the estimate [{}, {}] s",
+        ground_truth_s.0, ground_truth_s.1, estimate_s.0, estimate_s.1
+    )]
+    NoPairs {
+        /// Largest time difference allowed.
+        max_dt_s: f64,
+        /// First and last time of the ground truth (NaN when empty).
+        ground_truth_s: (f64, f64),
+        /// First and last time of the estimate (NaN when empty).
+        estimate_s: (f64, f64),
+    },
+    /// A time is NaN or infinite, or goes back.
+    #[error("{trajectory}: time {t_s} s of pose {index} is not finite or before its predecessor")]
+    Times {
+        /// "ground truth" or "estimate".
+        trajectory: &'static str,
+        /// The first bad pose.
+        index: usize,
+        /// Its time.
+        t_s: f64,
+    },
+    /// A pose or point holds NaN or an infinity.
+    #[error("{what} {index} is not finite")]
+    NonFinite {
+        /// What the list holds.
+        what: &'static str,
+        /// The first bad element.
+        index: usize,
+    },
+    /// Two lists or pictures that should have one size.
+    #[error("{what}: expected {expected:?}, got {got:?}")]
+    SizeMismatch {
+        /// What is compared.
+        what: &'static str,
+        /// Size of the first (columns, rows; or count, 1).
+        expected: (usize, usize),
+        /// Size of the second.
+        got: (usize, usize),
+    },
+    /// Every estimated position is the same: no scale maps it onto anything.
+    #[error("scale is undetermined: all estimated positions coincide")]
+    ScaleUndetermined,
+    /// An option that is not a positive finite number.
+    #[error("{name} = {value}: expected a positive finite number")]
+    Option {
+        /// The option.
+        name: &'static str,
+        /// What it was.
+        value: f64,
+    },
+}

@@ -1,0 +1,226 @@
+//! Relative pose error: drift over a fixed step.
+
+use garad_core::{Se3, StampedPose};
+use serde::{Deserialize, Serialize};
+
+use crate::associate::{MAX_DT_S, associate, check, nearest_in_time, no_pairs, positive};
+use crate::{EvalError, Stats};
+
+/// The step over which motions are compared.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RpeDelta {
+    /// This many associated poses ahead; every start, as evo with `all_pairs`. Unit: m and degrees
+    /// per step.
+    Frames(usize),
+    /// This many seconds ahead, as the TUM benchmark's script with a fixed delta; with 1 s the
+    /// unit is m/s and degrees/s, the figure in papers on dynamic scenes.
+    Seconds(f64),
+}
+
+/// The protocol.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RpeOptions {
+    /// Step.
+    pub delta: RpeDelta,
+    /// Largest time difference between an estimate and its ground truth, seconds.
+    pub max_dt_s: f64,
+}
+
+impl Default for RpeOptions {
+    fn default() -> Self {
+        Self {
+            delta: RpeDelta::Seconds(1.0),
+            max_dt_s: MAX_DT_S,
+        }
+    }
+}
+
+/// The result of [`rpe`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rpe {
+    /// Translation, metres per step.
+    pub trans_m: Stats,
+    /// Rotation angle, degrees per step.
+    pub rot_deg: Stats,
+    /// Start time of each step, its translation (m) and rotation error (degrees).
+    pub steps: Vec<(f64, f64, f64)>,
+}
+
+/// Relative pose error. With Q the true and P the estimated `world_from_camera`,
+///
+/// E = (Q_a⁻¹ Q_b)⁻¹ (P_a⁻¹ P_b),   translation |t_E|,   rotation |log R_E| in degrees.
+///
+/// No alignment takes part: E does not depend on either world.
+///
+/// - [`RpeDelta::Frames`]: a the i-th associated pair, b the (i + delta)-th (evo, all pairs).
+/// - [`RpeDelta::Seconds`]: for each estimate the one nearest to `delta` seconds later is its
+///   partner; the last estimate is nobody's. As in the TUM script, a is the *later* of the two,
+///   which changes |t_E| in the second order: there the motion back is compared. Two rules keep
+///   holes in a trajectory out: both ends need ground truth within `max_dt_s` (the script allows
+///   two sampling intervals, the same 0.02 s at 100 Hz), and a step must last between 1/2 and
+///   3/2 of `delta` (the script would pair a pose with itself across a hole: error 0).
+///
+/// The error of a step is not divided by its true length.
+///
+/// Source: Sturm et al. 2012, eq. 1. Golden: `trajectory/*`.
+///
+/// # Errors
+/// As [`associate`]; [`EvalError::TooFewPairs`] when no step fits into the trajectory,
+/// [`EvalError::Option`] for a step of 0.
+pub fn rpe(
+    ground_truth: &[StampedPose],
+    estimate: &[StampedPose],
+    options: &RpeOptions,
+) -> Result<Rpe, EvalError> {
+    check(ground_truth, estimate, options.max_dt_s)?;
+    let pairs = match options.delta {
+        RpeDelta::Frames(delta) => {
+            positive("delta", delta as f64)?;
+            let pairs = associate(ground_truth, estimate, options.max_dt_s)?;
+            let ends = pairs.iter().skip(delta);
+            pairs.iter().zip(ends).map(|(&a, &b)| (a, b)).collect()
+        }
+        RpeDelta::Seconds(delta_s) => {
+            positive("delta", delta_s)?;
+            steps_by_time(ground_truth, estimate, delta_s, options.max_dt_s)?
+        }
+    };
+    let error = |&((gt_a, est_a), (gt_b, est_b)): &Step| {
+        let motion = |a: &StampedPose, b: &StampedPose| -> Se3 {
+            a.world_from_camera.inverse() * b.world_from_camera
+        };
+        let truth = motion(&ground_truth[gt_a], &ground_truth[gt_b]);
+        let found = motion(&estimate[est_a], &estimate[est_b]);
+        let e = truth.inverse() * found;
+        let start_s = estimate[est_a.min(est_b)].t_s;
+        (
+            start_s,
+            e.translation.norm(),
+            e.rotation.log().norm().to_degrees(),
+        )
+    };
+    let steps: Vec<_> = pairs.iter().map(error).collect();
+    let column = |f: fn(&(f64, f64, f64)) -> f64| steps.iter().map(f).collect::<Vec<_>>();
+    Ok(Rpe {
+        trans_m: Stats::of(&column(|step| step.1))?,
+        rot_deg: Stats::of(&column(|step| step.2))?,
+        steps,
+    })
+}
+
+/// Two pairs (ground truth, estimate): from a to b.
+type Step = ((usize, usize), (usize, usize));
+
+fn steps_by_time(
+    ground_truth: &[StampedPose],
+    estimate: &[StampedPose],
+    delta_s: f64,
+    max_dt_s: f64,
+) -> Result<Vec<Step>, EvalError> {
+    let truth_of = |e: usize| nearest_in_time(ground_truth, estimate[e].t_s, max_dt_s);
+    let mut matched = false;
+    let mut steps = Vec::new();
+    for start in 0..estimate.len() {
+        let Some(gt_start) = truth_of(start) else {
+            continue;
+        };
+        matched = true;
+        // Nearest to the end of the step; one that is off by half a step is none.
+        let end_s = estimate[start].t_s + delta_s;
+        let Some(end) = nearest_in_time(estimate, end_s, 0.5 * delta_s) else {
+            continue;
+        };
+        if end + 1 == estimate.len() {
+            continue;
+        }
+        if let Some(gt_end) = truth_of(end) {
+            steps.push(((gt_end, end), (gt_start, start)));
+        }
+    }
+    if matched {
+        Ok(steps)
+    } else {
+        Err(no_pairs(ground_truth, estimate, max_dt_s))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use garad_core::So3;
+    use nalgebra::Vector3;
+
+    /// Straight along x at 1 m/s, 10 poses per second.
+    fn straight(n: u32, speed: f64, turn_deg_per_s: f64) -> Vec<StampedPose> {
+        let pose = |i: u32| {
+            let t_s = f64::from(i) * 0.1;
+            let turn = Vector3::z() * (turn_deg_per_s * t_s).to_radians();
+            StampedPose {
+                t_s,
+                world_from_camera: Se3::new(So3::exp(&turn), Vector3::x() * (speed * t_s)),
+            }
+        };
+        (0..n).map(pose).collect()
+    }
+
+    #[test]
+    fn drift_per_second_by_hand() {
+        let (truth, estimate) = (straight(50, 1.0, 0.0), straight(50, 1.1, 3.0));
+        let result = rpe(&truth, &straight(50, 1.1, 0.0), &RpeOptions::default());
+        let result = result.expect("39 steps");
+        assert!((result.trans_m.rmse - 0.1).abs() < 1e-14, "0.1 m in 1 s");
+        assert!((result.trans_m.std).abs() < 1e-14, "the same everywhere");
+        assert_eq!(result.trans_m.pairs, 39, "the last pose ends no step");
+        let turned = rpe(&truth, &estimate, &RpeOptions::default()).expect("39 steps");
+        assert!(
+            (turned.rot_deg.rmse - 3.0).abs() < 1e-12,
+            "3 degrees in 1 s"
+        );
+    }
+
+    #[test]
+    fn drift_per_frame_by_hand() {
+        let (truth, estimate) = (straight(50, 1.0, 0.0), straight(50, 1.1, 3.0));
+        let options = RpeOptions {
+            delta: RpeDelta::Frames(5),
+            ..RpeOptions::default()
+        };
+        let result = rpe(&truth, &estimate, &options).expect("45 steps");
+        assert_eq!(result.trans_m.pairs, 45, "every start with an end");
+        assert!(
+            (result.rot_deg.max - 1.5).abs() < 1e-12,
+            "3 degrees/s, 0.5 s"
+        );
+    }
+
+    /// Tracking lost for 3 s: no step spans the hole, none has length 0.
+    #[test]
+    fn holes_make_no_steps() {
+        let truth = straight(90, 1.0, 0.0);
+        let mut estimate = straight(90, 1.1, 0.0);
+        estimate.drain(30..60);
+        let result = rpe(&truth, &estimate, &RpeOptions::default()).expect("steps");
+        assert!(
+            (result.trans_m.min - 0.05).abs() < 0.011,
+            "{:?}",
+            result.trans_m
+        );
+        assert!(result.trans_m.max < 0.151, "{:?}", result.trans_m);
+    }
+
+    #[test]
+    fn too_short_a_trajectory_is_an_error() {
+        let short = straight(5, 1.0, 0.0);
+        let error = rpe(&short, &short, &RpeOptions::default()).expect_err("0.4 s");
+        assert_eq!(error, EvalError::TooFewPairs { got: 0, needed: 1 }, "time");
+        for delta in [RpeDelta::Frames(0), RpeDelta::Seconds(f64::NAN)] {
+            let options = RpeOptions {
+                delta,
+                ..RpeOptions::default()
+            };
+            let error = rpe(&short, &short, &options).expect_err("no step");
+            assert!(matches!(error, EvalError::Option { .. }), "{error}");
+        }
+    }
+}
