@@ -1,1 +1,28 @@
-//! Golden cases: format, .npy codec, tolerance table, comparators
+//! Golden cases: what goes into a stage, what must come out, and how close is close enough.
+//!
+//! A case is a folder `tests/golden/STAGE/CASE/` with a `case.json` and little-endian, C-order
+//! `.npy` files; numpy alone opens them. The expected values come from outside this project
+//! (OpenCV, mpmath, scipy, ...) through the scripts in `tests/golden/gen/`.
+//!
+//! Reading order: [`tensor`] (typed arrays) → [`npy`] (their files) → [`case`] (the folder) →
+//! [`tol`] (the one table of tolerances) → [`compare`] (the verdict).
+//!
+//! # Example
+//! ```
+//! use garad_golden::{Tensor, compare, tol};
+//! let expected = Tensor::from(vec![1.0, 2.0, 4.0]);
+//! let verdict = compare::compare(&expected, &[1.0, 2.0, 4.5], tol::find("exact").unwrap()).unwrap();
+//! assert_eq!((verdict.outside, verdict.worst_index.as_slice()), (1, &[2][..]));
+//! ```
+
+pub mod case;
+pub mod compare;
+pub mod npy;
+pub mod tensor;
+pub mod tol;
+
+pub use case::{Case, GoldenError};
+pub use compare::Comparison;
+pub use npy::NpyError;
+pub use tensor::{Dtype, Tensor};
+pub use tol::{Class, Tolerance};
