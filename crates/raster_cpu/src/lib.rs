@@ -1,1 +1,31 @@
-//! Gaussian splat rasterizer on the CPU
+//! Gaussian splat rasterizer on the CPU: the readable reference.
+//!
+//! ```text
+//! GaussianMap ─ project ─→ Projected ─ sort, Tiles ─→ list per tile ─ composite ─→ Rendered
+//!   + View      R1 to R8    per splat    bin           of positions    R9 to R12
+//! ```
+//!
+//! Reading order: [`render()`] → `view` → `covariance`, `color`, [`project`] → `bin` →
+//! [`composite`]. Formulas are numbered R1, R2, ... and derived in `docs/math.md`. Constants and
+//! cuts are those of the CUDA rasterizer of 3D Gaussian Splatting, so that trained maps look
+//! here as they do elsewhere; what differs is the principal point, which is free, and that
+//! formulas are arranged not to cancel.
+//!
+//! Everything is generic over [`garad_core::Real`]: f32 is what a GPU is compared with, f64 is
+//! what proves gradients.
+
+mod bin;
+mod color;
+pub mod composite;
+mod covariance;
+mod error;
+pub mod project;
+mod render;
+mod view;
+
+pub use composite::{MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
+pub use covariance::BLUR_PX2;
+pub use error::RasterError;
+pub use project::{FOOTPRINT_CELL_PX, NEAR_M, PixelRect, Projected};
+pub use render::{Include, MAX_SIDE_PX, RenderOptions, Rendered, render};
+pub use view::JACOBIAN_CLAMP;

@@ -1,0 +1,87 @@
+//! Which splats each tile has to look at, front to back.
+
+use garad_core::Real;
+
+use crate::project::{PixelRect, Projected};
+
+/// Sorts by depth, then by row in the map: a total order, so the picture does not depend on how
+/// the map is sorted in memory except between equal depths, and never on the sort algorithm.
+pub(crate) fn sort_front_to_back<T: Real>(splats: Vec<Projected<T>>) -> Vec<Projected<T>> {
+    // Keys are sorted and rows gathered once: a row is ten times the size of a key.
+    let mut order: Vec<(T, u32)> = splats.iter().map(|s| s.depth_m).zip(0..).collect();
+    order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    order.iter().map(|&(_, i)| splats[i as usize]).collect()
+}
+
+/// The picture cut into squares of `tile_px` pixels, and for each the splats whose footprint
+/// reaches into it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Tiles {
+    tile_px: usize,
+    size: [usize; 2],
+    /// Tiles per row.
+    columns: usize,
+    /// Tile t owns `entries[starts[t]..starts[t + 1]]`.
+    starts: Vec<usize>,
+    /// Positions in the sorted splats; ascending within a tile, hence front to back.
+    entries: Vec<u32>,
+}
+
+impl Tiles {
+    /// Counts, then fills: the splats are walked in depth order, so every list comes out sorted.
+    pub(crate) fn new<T>(splats: &[Projected<T>], size: [usize; 2], tile_px: usize) -> Self {
+        let [columns, rows] = size.map(|n| n.div_ceil(tile_px));
+        let mut starts = vec![0usize; columns * rows + 1];
+        for splat in splats {
+            for_each_tile(&splat.footprint, tile_px, columns, |t| starts[t + 1] += 1);
+        }
+        for t in 0..columns * rows {
+            starts[t + 1] += starts[t];
+        }
+        let mut entries = vec![0u32; starts[columns * rows]];
+        let mut next = starts.clone();
+        for (splat, position) in splats.iter().zip(0u32..) {
+            for_each_tile(&splat.footprint, tile_px, columns, |t| {
+                entries[next[t]] = position;
+                next[t] += 1;
+            });
+        }
+        Self {
+            tile_px,
+            size,
+            columns,
+            starts,
+            entries,
+        }
+    }
+
+    /// Number of tiles.
+    pub(crate) fn len(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// The pixels of a tile, cut to the picture.
+    pub(crate) fn rect(&self, tile: usize) -> PixelRect {
+        let [x0, y0] = [tile % self.columns, tile / self.columns].map(|k| k * self.tile_px);
+        PixelRect {
+            x0,
+            x1: (x0 + self.tile_px).min(self.size[0]),
+            y0,
+            y1: (y0 + self.tile_px).min(self.size[1]),
+        }
+    }
+
+    /// The tile's splats as positions in the sorted array, front to back.
+    pub(crate) fn list(&self, tile: usize) -> &[u32] {
+        &self.entries[self.starts[tile]..self.starts[tile + 1]]
+    }
+}
+
+/// The numbers of the tiles that a rectangle (not empty) overlaps.
+fn for_each_tile(rect: &PixelRect, tile_px: usize, columns: usize, mut f: impl FnMut(usize)) {
+    for row in rect.y0 / tile_px..rect.y1.div_ceil(tile_px) {
+        for column in rect.x0 / tile_px..rect.x1.div_ceil(tile_px) {
+            f(row * columns + column);
+        }
+    }
+}

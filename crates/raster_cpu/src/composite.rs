@@ -1,0 +1,180 @@
+//! One tile: splats blended front to back into its pixels (R9 to R11).
+
+use garad_core::Real;
+
+use crate::project::{PixelRect, Projected, to_index};
+
+/// A splat thinner than this at a pixel is left out there (R10): half a step of an 8-bit
+/// channel even on a white background. Source: 3D Gaussian Splatting.
+pub const MIN_ALPHA: f64 = 1.0 / 255.0;
+/// No splat covers a pixel entirely (R10), so that 1 - alpha can be divided by. Its square is
+/// just above [`MIN_TRANSMITTANCE`]: two full splats still both count.
+pub const MAX_ALPHA: f64 = 0.99;
+/// A pixel is finished before a splat that would let less light than this through (R11).
+pub const MIN_TRANSMITTANCE: f64 = 1e-4;
+
+/// What has arrived at one pixel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Pixel<T> {
+    /// Σ w color, without background.
+    pub(crate) color: [T; 3],
+    /// Σ w z, metres.
+    pub(crate) depth: T,
+    /// Π (1 - alpha): the share of light that is left.
+    pub(crate) transmittance: T,
+    /// Splats blended.
+    pub(crate) contributors: u32,
+    /// One more than the position of the last of them in the tile's list; 0 if there is none.
+    pub(crate) last: u32,
+    /// May still take light.
+    open: bool,
+}
+
+impl<T: Real> Pixel<T> {
+    /// Nothing has arrived yet.
+    pub(crate) const fn new() -> Self {
+        Self {
+            color: [T::ZERO; 3],
+            depth: T::ZERO,
+            transmittance: T::ONE,
+            contributors: 0,
+            last: 0,
+            open: true,
+        }
+    }
+}
+
+/// -½ dᵀ [a, b; b, c] d for d = pixel - mean, as a sum of squares (R9):
+///
+/// power = -½ ( a (dx + (b/a) dy)² + dy²/Σ'yy )
+///
+/// Never positive, so the CUDA rasterizer's test for power > 0, which catches the rounding of
+/// a dx² + 2 b dx dy + c dy² on needles, has nothing to catch here.
+#[inline]
+fn power<T: Real>(splat: &Projected<T>, dx: T, dy: T) -> T {
+    let along = dx + splat.shear * dy;
+    T::from_f64(-0.5) * (splat.conic[0] * along * along + splat.inv_var_y * dy * dy)
+}
+
+/// The pixels of one tile, row by row.
+///
+/// alpha = min(0.99, opacity e^power); skipped if alpha < 1/255                          (R10)
+/// w = alpha T;  color += w c;  depth += w z;  T ← T (1 - alpha);
+/// finished before T (1 - alpha) < 1e-4                                                  (R11)
+///
+/// Splats are the outer loop and pixels the inner one. Each pixel still meets its splats front
+/// to back, so this is the same sum in the same order as a loop over pixels.
+pub(crate) fn composite_tile<T: Real>(
+    splats: &[Projected<T>],
+    list: &[u32],
+    rect: &PixelRect,
+) -> Vec<Pixel<T>> {
+    let (width, height) = (rect.x1 - rect.x0, rect.y1 - rect.y0);
+    let mut pixels = vec![Pixel::new(); width * height];
+    let mut open = pixels.len();
+    let [min_alpha, max_alpha, min_transmittance] =
+        [MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE].map(T::from_f64);
+
+    for (&position, rank) in list.iter().zip(1u32..) {
+        if open == 0 {
+            break;
+        }
+        let splat = &splats[position as usize];
+        let Some(reach) = Reach::new(splat, rect) else {
+            continue;
+        };
+        for y in reach.rows() {
+            let dy = coordinate::<T>(y) - splat.mean_px[1];
+            let row = (y - rect.y0) * width;
+            for x in reach.columns(splat, dy) {
+                let pixel = &mut pixels[row + x - rect.x0];
+                if !pixel.open {
+                    continue;
+                }
+                let dx = coordinate::<T>(x) - splat.mean_px[0];
+                let alpha = max_alpha.min(splat.opacity * power(splat, dx, dy).exp());
+                if alpha < min_alpha {
+                    continue;
+                }
+                let left = pixel.transmittance * (T::ONE - alpha);
+                if left < min_transmittance {
+                    pixel.open = false;
+                    open -= 1;
+                    continue;
+                }
+                let weight = alpha * pixel.transmittance;
+                for channel in 0..3 {
+                    pixel.color[channel] += weight * splat.color[channel];
+                }
+                pixel.depth += weight * splat.depth_m;
+                pixel.transmittance = left;
+                pixel.contributors += 1;
+                pixel.last = rank;
+            }
+        }
+    }
+    pixels
+}
+
+/// An index as a coordinate; exact below [`crate::MAX_SIDE_PX`].
+#[inline]
+fn coordinate<T: Real>(index: usize) -> T {
+    T::from_f64(index as f64)
+}
+
+/// Where in a tile a splat's alpha can reach 1/255. Everything outside would have been skipped
+/// by that test, so this changes the time and nothing else.
+///
+/// alpha ≥ 1/255 ⟺ a (dx + (b/a) dy)² + dy²/Σ'yy ≤ k,  k = 2 ln(255 opacity)            (R12)
+///
+/// an ellipse; k is enlarged by 1 % and intervals by a pixel, far more than rounding can move.
+struct Reach<T> {
+    /// Footprint and tile in common, rows further cut to the ellipse.
+    rect: PixelRect,
+    /// k, enlarged.
+    k: T,
+}
+
+impl<T: Real> Reach<T> {
+    /// `None` when no pixel of the tile can be reached.
+    fn new(splat: &Projected<T>, tile: &PixelRect) -> Option<Self> {
+        let brightest = T::from_f64(255.0) * splat.opacity;
+        // ln is taken of at least 1 minus the rounding of MIN_ALPHA.
+        let k = T::from_f64(2.02) * brightest.ln() + T::from_f64(0.02);
+        if !(k > T::ZERO) {
+            return None;
+        }
+        let half = k.sqrt() * splat.sigma_px[1];
+        let (y0, y1) = interval(splat.mean_px[1], half);
+        let footprint = &splat.footprint;
+        let rect = PixelRect {
+            x0: tile.x0.max(footprint.x0),
+            x1: tile.x1.min(footprint.x1),
+            y0: tile.y0.max(footprint.y0).max(y0),
+            y1: tile.y1.min(footprint.y1).min(y1),
+        };
+        (!rect.is_empty()).then_some(Self { rect, k })
+    }
+
+    fn rows(&self) -> std::ops::Range<usize> {
+        self.rect.y0..self.rect.y1
+    }
+
+    /// The columns of the row at distance `dy` from the centre.
+    fn columns(&self, splat: &Projected<T>, dy: T) -> std::ops::Range<usize> {
+        let rest = (self.k - splat.inv_var_y * dy * dy).max(T::ZERO);
+        let half = (rest / splat.conic[0]).sqrt();
+        let (x0, x1) = interval(splat.mean_px[0] - splat.shear * dy, half);
+        self.rect.x0.max(x0)..self.rect.x1.min(x1)
+    }
+}
+
+/// The pixels within `half` of `middle`, and one more on either side.
+#[inline]
+fn interval<T: Real>(middle: T, half: T) -> (usize, usize) {
+    let one = T::ONE;
+    (
+        to_index((middle - half).floor() - one),
+        to_index((middle + half).ceil() + one + one),
+    )
+}

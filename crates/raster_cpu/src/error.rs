@@ -1,0 +1,53 @@
+//! [`RasterError`]: input that cannot be drawn.
+
+use garad_core::CameraError;
+use thiserror::Error;
+
+/// What is wrong with the input of [`crate::render`].
+///
+/// A single Gaussian with a bad number is no error: it is invisible (see [`crate::project`]).
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum RasterError {
+    /// The calibration.
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    /// The pose.
+    #[error("camera_from_world has a number that is not finite")]
+    PoseNotFinite,
+    /// The background.
+    #[error("background channel {channel} is {value}; expected a finite number")]
+    BackgroundNotFinite {
+        /// 0 red, 1 green, 2 blue.
+        channel: usize,
+        /// Its value.
+        value: f64,
+    },
+    /// The tile side.
+    #[error("tiles of {tile_px} px; expected 1 to {}", crate::MAX_SIDE_PX)]
+    TileSize {
+        /// What was asked for.
+        tile_px: usize,
+    },
+    /// The picture.
+    #[error(
+        "picture of {width} x {height} px; expected at most {0} x {0}",
+        crate::MAX_SIDE_PX
+    )]
+    PictureSize {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+    },
+    /// An array of the map that does not have one row (or one set of SH triples) per Gaussian.
+    #[error("map array {array} has {got} rows; expected {expected}")]
+    MapLength {
+        /// Name of the array.
+        array: &'static str,
+        /// Rows it should have.
+        expected: usize,
+        /// Rows it has.
+        got: usize,
+    },
+}

@@ -1,0 +1,205 @@
+//! One Gaussian becomes one splat: [`Projected`] (R1 to R8).
+
+use garad_core::{GaussianMap, Label, Par, Real};
+
+use crate::color::color;
+use crate::covariance::{Covariance2, covariance, half_axes, pixel_from_world, rotation};
+use crate::render::Include;
+use crate::view::View;
+
+/// Gaussians at this distance along z or nearer are not drawn, metres: the projection is
+/// singular at 0. Source: 3D Gaussian Splatting.
+pub const NEAR_M: f64 = 0.2;
+
+/// Side of the cells that a footprint is rounded out to, pixels (R6). This is the tile of the
+/// CUDA rasterizer and part of the picture's definition; [`crate::RenderOptions::tile_px`] is
+/// how work is cut and changes nothing.
+pub const FOOTPRINT_CELL_PX: usize = 16;
+
+/// Gaussians projected by one task.
+const CHUNK: usize = 512;
+
+/// A half-open rectangle of pixels, [x0, x1) x [y0, y1).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PixelRect {
+    /// First column.
+    pub x0: usize,
+    /// Column after the last.
+    pub x1: usize,
+    /// First row.
+    pub y0: usize,
+    /// Row after the last.
+    pub y1: usize,
+}
+
+impl PixelRect {
+    /// Holds no pixel.
+    #[inline]
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.x0 >= self.x1 || self.y0 >= self.y1
+    }
+}
+
+/// A visible Gaussian as the picture sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Projected<T> {
+    /// Row in the map.
+    pub index: u32,
+    /// Centre, pixels.
+    pub mean_px: [T; 2],
+    /// z of the mean in the camera, metres: the sort key.
+    pub depth_m: T,
+    /// (a, b, c) of the inverse covariance [a, b; b, c], px⁻².
+    pub conic: [T; 3],
+    /// b/a, computed as -Σ'xy / Σ'yy.
+    pub shear: T,
+    /// 1/Σ'yy, px⁻².
+    pub inv_var_y: T,
+    /// √(Σ'xx), √(Σ'yy), pixels.
+    pub sigma_px: [T; 2],
+    /// sigmoid(logit), in [0, 1].
+    pub opacity: T,
+    /// ≥ 0 per channel.
+    pub color: [T; 3],
+    /// ⌈3 √λmax⌉, pixels.
+    pub radius_px: i32,
+    /// The pixels it may touch.
+    pub footprint: PixelRect,
+}
+
+/// The visible splats of a map, in map order.
+///
+/// A Gaussian is invisible, and never an error, when its label is not asked for, when its
+/// z ≤ 0.2 m, when its footprint misses the picture, or when one of its numbers is not finite,
+/// its quaternion has no direction, or its projection overflows.
+///
+/// # Numerics
+/// Each splat depends on its own row alone: the same bits for every `Par`.
+pub(crate) fn project<T: Real>(
+    map: &GaussianMap<T>,
+    view: &View<T>,
+    include: Include,
+    par: Par,
+) -> Vec<Projected<T>> {
+    par.map_chunks(map.len(), CHUNK, |range| {
+        range
+            .filter(|&i| match include {
+                Include::All => true,
+                Include::StaticOnly => map.label[i] == Label::Static,
+                Include::DynamicOnly => map.label[i] == Label::Dynamic,
+            })
+            .filter_map(|i| project_one(map, i, view))
+            .collect::<Vec<_>>()
+    })
+    .concat()
+}
+
+/// One Gaussian, in the order of the formulas.
+fn project_one<T: Real>(map: &GaussianMap<T>, i: usize, view: &View<T>) -> Option<Projected<T>> {
+    // R1: p = R mean + t, (u, v) = (fx x/z + cx, fy y/z + cy). A NaN fails the comparison.
+    let p_cam = camera_point(view, map.means[i]);
+    let [x, y, z] = p_cam;
+    if !(z > T::from_f64(NEAR_M)) {
+        return None;
+    }
+    let mean_px = [
+        view.focal_px[0] * (x / z) + view.principal_px[0],
+        view.focal_px[1] * (y / z) + view.principal_px[1],
+    ];
+
+    // R2 to R5: the covariance in the picture.
+    let sigma_m = map.log_scales[i].map(T::exp);
+    let m = half_axes(
+        &pixel_from_world(view, p_cam),
+        &rotation(map.quaternions[i])?,
+        sigma_m,
+    );
+    let cov = covariance(&m);
+
+    // R6: what it may touch.
+    let radius = radius(&cov);
+    if !(cov.det.is_finite() && radius.is_finite() && mean_px.iter().all(|v| v.is_finite())) {
+        return None;
+    }
+    let footprint = footprint(mean_px, radius, view.size);
+    if footprint.is_empty() {
+        return None;
+    }
+
+    let opacity = sigmoid(map.opacity_logits[i]);
+    if !opacity.is_finite() {
+        return None;
+    }
+    Some(Projected {
+        index: u32::try_from(i).ok()?,
+        mean_px,
+        depth_m: z,
+        conic: [cov.yy / cov.det, -cov.xy / cov.det, cov.xx / cov.det],
+        shear: -cov.xy / cov.yy,
+        inv_var_y: T::ONE / cov.yy,
+        sigma_px: [cov.xx.sqrt(), cov.yy.sqrt()],
+        opacity,
+        color: color(map, i, view.center)?,
+        radius_px: saturate(radius),
+        footprint,
+    })
+}
+
+/// R mean + t, metres.
+fn camera_point<T: Real>(view: &View<T>, mean: [T; 3]) -> [T; 3] {
+    let (r, t) = (&view.rotation, &view.translation);
+    [0, 1, 2].map(|i| r[i][0] * mean[0] + r[i][1] * mean[1] + r[i][2] * mean[2] + t[i])
+}
+
+/// 1 / (1 + e⁻ˣ).
+fn sigmoid<T: Real>(x: T) -> T {
+    T::ONE / (T::ONE + (-x).exp())
+}
+
+/// ⌈3 √λ⌉, λ = mid + √max(0.1, ((xx - yy)/2)² + xy²), mid = (xx + yy)/2 (R6).
+///
+/// The radicand is mid² - det, written so that it does not cancel. The floor of 0.1 px⁴ comes
+/// from the CUDA rasterizer and makes round splats a little wider.
+fn radius<T: Real>(cov: &Covariance2<T>) -> T {
+    let half = T::from_f64(0.5);
+    let mid = half * (cov.xx + cov.yy);
+    let difference = half * (cov.xx - cov.yy);
+    let radicand = difference * difference + cov.xy * cov.xy;
+    let largest = mid + radicand.max(T::from_f64(0.1)).sqrt();
+    (T::from_f64(3.0) * largest.sqrt()).ceil()
+}
+
+/// The square mean ± radius rounded out to cells of 16 px and cut to the picture (R6).
+///
+/// Per axis the cells ⌊(m - r)/16⌋ .. ⌊(m + r + 15)/16⌋, the second one excluded. Nothing is
+/// drawn outside, even where alpha would still reach 1/255 (3 sigma cut off up to 1.1 % of an
+/// opaque splat): that is the definition all trained maps are used to.
+fn footprint<T: Real>(mean_px: [T; 2], radius: T, size: [usize; 2]) -> PixelRect {
+    let cell = T::from_f64(FOOTPRINT_CELL_PX as f64);
+    let last = T::from_f64((FOOTPRINT_CELL_PX - 1) as f64);
+    let pixels = |cells: T, n: usize| to_index(cells.floor() * cell).min(n);
+    let [(x0, x1), (y0, y1)] = [0, 1].map(|k| {
+        (
+            pixels((mean_px[k] - radius) / cell, size[k]),
+            pixels((mean_px[k] + radius + last) / cell, size[k]),
+        )
+    });
+    PixelRect { x0, x1, y0, y1 }
+}
+
+/// A coordinate as an index: below 0 and NaN become 0, beyond the range its end.
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "`as` saturates, which is what a cut to the picture needs"
+)]
+pub(crate) fn to_index<T: Real>(x: T) -> usize {
+    x.to_f64() as usize
+}
+
+/// A radius as an integer; beyond the range its end.
+#[allow(clippy::cast_possible_truncation, reason = "`as` saturates")]
+fn saturate<T: Real>(radius: T) -> i32 {
+    radius.to_f64() as i32
+}
