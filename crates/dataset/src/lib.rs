@@ -1,1 +1,47 @@
-//! TUM and BONN RGB-D recordings, archives, calibration, trajectories and PLY maps
+//! Recordings in, maps and trajectories out: TUM and BONN RGB-D folders and archives,
+//! calibration, PLY. No algorithms.
+//!
+//! ```text
+//! folder | .tgz | .tar | .zip ──source──► rgb.txt, depth.txt ──list──► associate ──► Dataset
+//!                                         camera.txt ──calibration──────────────────────┤
+//!                                         groundtruth.txt ──trajectory──────────────────┘
+//! Dataset::read(i), frames(n) ──decode──► Frame (colour, depth in metres)
+//! ```
+//!
+//! Reading order: [`dataset`] → [`calibration`] → [`associate`](fn@associate) → [`trajectory`],
+//! [`bonn`] → [`ply`]. How much of a hostile file is believed is in [`limits`].
+//!
+//! # Example
+//! ```no_run
+//! use garad_dataset::{Dataset, OpenOptions};
+//! let dataset = Dataset::open("rgbd_dataset_freiburg3_walking_xyz.tgz".as_ref(), &OpenOptions::default())?;
+//! for frame in dataset.frames(2) {
+//!     let frame = frame?;
+//!     let centre_m = frame.depth[(320, 240)];
+//! }
+//! # Ok::<(), garad_dataset::DatasetError>(())
+//! ```
+
+mod archive;
+mod associate;
+mod atomic;
+pub mod bonn;
+pub mod calibration;
+pub mod dataset;
+mod decode;
+mod errors;
+mod frames;
+pub mod limits;
+mod list;
+mod source;
+mod text;
+pub mod trajectory;
+
+pub use associate::associate;
+pub use atomic::{write_atomically, write_bytes_atomically};
+pub use bonn::bonn_camera_from_marker;
+pub use calibration::{Calibration, Preset};
+pub use dataset::{Dataset, Frame, OpenOptions};
+pub use errors::DatasetError;
+pub use frames::Frames;
+pub use trajectory::{format_trajectory, parse_trajectory, read_trajectory, write_trajectory};

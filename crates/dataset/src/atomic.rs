@@ -1,0 +1,106 @@
+//! Files that are written whole or not at all.
+
+use std::ffi::OsString;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, BufWriter, ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+use crate::errors::DatasetError;
+
+/// Writes a file under a temporary name beside its place, then renames it: a reader sees the
+/// old content or the new, never half of it, also when the disk fills up or the run is ended.
+///
+/// # Errors
+/// [`DatasetError::Io`] from the file system or from `write`; nothing is left behind then.
+pub fn write_atomically(
+    path: &Path,
+    write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<(), DatasetError> {
+    let attempt = || {
+        let (temporary, file) = create_beside(path)?;
+        let mut out = BufWriter::new(file);
+        let written = write(&mut out)
+            .and_then(|()| out.into_inner().map_err(io::IntoInnerError::into_error))
+            .and_then(|file| file.sync_all())
+            .and_then(|()| fs::rename(&temporary, path));
+        if written.is_err() {
+            // The first error is the one to tell; this one would say the same.
+            let _ = fs::remove_file(&temporary);
+        }
+        written
+    };
+    attempt().map_err(DatasetError::io(path))
+}
+
+/// A file that did not exist before, in the same folder: renaming works within a disk alone.
+fn create_beside(path: &Path) -> io::Result<(PathBuf, File)> {
+    let name = path
+        .file_name()
+        .ok_or_else(|| io::Error::new(ErrorKind::InvalidInput, "no file name"))?;
+    for attempt in 0..1000 {
+        let mut hidden = OsString::from(".");
+        hidden.push(name);
+        hidden.push(format!(".part{attempt}"));
+        let temporary = path.with_file_name(hidden);
+        match OpenOptions::new()
+            .write(true)
+            .create_new(true)
+            .open(&temporary)
+        {
+            Ok(file) => return Ok((temporary, file)),
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Err(io::Error::new(
+        ErrorKind::AlreadyExists,
+        "a thousand unfinished files lie beside it",
+    ))
+}
+
+/// All bytes to one file; see [`write_atomically`].
+///
+/// # Errors
+/// [`DatasetError::Io`].
+pub fn write_bytes_atomically(path: &Path, bytes: &[u8]) -> Result<(), DatasetError> {
+    write_atomically(path, |out| out.write_all(bytes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_old_content_stays_until_the_new_is_whole() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let path = folder.path().join("trajectory.txt");
+        write_bytes_atomically(&path, b"old").expect("written");
+        let failed = write_atomically(&path, |out| {
+            out.write_all(b"half")?;
+            Err(io::Error::other("disk full"))
+        });
+        let message = failed.expect_err("refused").to_string();
+        assert!(
+            message.contains("trajectory.txt") && message.contains("disk full"),
+            "{message}"
+        );
+        assert_eq!(fs::read(&path).expect("there"), b"old", "untouched");
+        write_bytes_atomically(&path, b"new").expect("written");
+        assert_eq!(fs::read(&path).expect("there"), b"new", "replaced");
+        let left = fs::read_dir(folder.path()).expect("listed").count();
+        assert_eq!(left, 1, "nothing else is left behind");
+    }
+
+    #[test]
+    fn a_folder_that_does_not_exist_is_an_error() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let path = folder.path().join("nowhere/file");
+        assert!(
+            matches!(
+                write_bytes_atomically(&path, b""),
+                Err(DatasetError::Io { .. })
+            ),
+            "no folder"
+        );
+    }
+}

@@ -1,0 +1,307 @@
+//! [`Calibration`]: which camera, and what its depth images count in.
+//!
+//! # `camera.txt`
+//! Comments start with `#`. Either one row of numbers,
+//! ```text
+//! # width height fx fy cx cy depth_factor fps [k1 k2 p1 p2 k3]
+//! 640 480 535.4 539.2 320.1 247.6 5000 30
+//! ```
+//! or `key = value` lines with those names, which is TOML as well (`calibration.toml`), or a row
+//! followed by lines for `depth_max_raw`. Pixel centres are at integer coordinates, distortion
+//! is OpenCV's, depth in metres is raw / `depth_factor`.
+//!
+//! # Missing depth
+//! Raw 0 and 65535 are missing always. `depth_max_raw = N` makes all raw values from N on
+//! missing; without it N is 60000 where `depth_factor` is 1000 (7-Scenes and Kinect recordings
+//! in millimetres mark holes by values up there, and no such sensor sees 60 m).
+
+use std::path::Path;
+use std::str::FromStr;
+
+use garad_core::Camera;
+use garad_core::camera::Distortion;
+
+use crate::errors::{DatasetError, excerpt};
+use crate::text::{Place, for_each_line, number};
+
+/// Names of the presets, for messages.
+pub(crate) const PRESETS: &str = "freiburg1, freiburg2, freiburg3, bonn";
+
+/// The camera of a recording and the meaning of its depth images.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Calibration {
+    /// Size, pinhole and distortion.
+    pub camera: Camera,
+    /// Raw depth per metre.
+    pub depth_factor: f64,
+    /// Frames per second.
+    pub fps: f64,
+    /// Raw depth values from this one on are missing; 65535 always is.
+    pub depth_max_raw: Option<u16>,
+    /// Where it came from, in words.
+    pub source: String,
+}
+
+/// A camera whose calibration is known.
+///
+/// Values: ORB-SLAM2's TUM1.yaml, TUM2.yaml, TUM3.yaml; for BONN those of the recording's own
+/// distribution. BONN depth is not rescaled here: see [`crate::bonn`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Preset {
+    /// TUM RGB-D, freiburg1 (strong distortion).
+    Freiburg1,
+    /// TUM RGB-D, freiburg2 (strong distortion; depth factor 5208).
+    Freiburg2,
+    /// TUM RGB-D, freiburg3 (rectified).
+    Freiburg3,
+    /// BONN RGB-D Dynamic.
+    Bonn,
+}
+
+impl Preset {
+    /// Its name, as [`Preset::from_str`] takes it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Freiburg1 => "freiburg1",
+            Self::Freiburg2 => "freiburg2",
+            Self::Freiburg3 => "freiburg3",
+            Self::Bonn => "bonn",
+        }
+    }
+
+    /// The calibration; all four cameras have 640x480 pixels at 30 frames per second.
+    #[must_use]
+    #[rustfmt::skip]
+    pub fn calibration(self) -> Calibration {
+        let ([fx, fy, cx, cy], [k1, k2, p1, p2, k3], depth_factor) = match self {
+            Self::Freiburg1 => (
+                [517.306_408, 516.469_215, 318.643_040, 255.313_989],
+                [0.262_383, -0.953_104, -0.005_358, 0.002_628, 1.163_314], 5000.0),
+            Self::Freiburg2 => (
+                [520.908_620, 521.007_327, 325.141_442, 249.701_764],
+                [0.231_222, -0.784_899, -0.003_257, -0.000_105, 0.917_205], 5208.0),
+            Self::Freiburg3 => (
+                [535.4, 539.2, 320.1, 247.6],
+                [0.0; 5], 5000.0),
+            Self::Bonn => (
+                [542.822_841, 542.576_870, 315.593_520, 237.756_098],
+                [0.039_903, -0.099_343, -0.000_730, -0.000_144, 0.0], 5000.0),
+        };
+        Calibration {
+            camera: Camera {
+                width: 640, height: 480, fx, fy, cx, cy,
+                distortion: Distortion { k1, k2, p1, p2, k3 },
+            },
+            depth_factor,
+            fps: 30.0,
+            depth_max_raw: None,
+            source: format!("preset {}", self.name()),
+        }
+    }
+
+    /// The preset a recording's name speaks of: `rgbd_dataset_freiburg3_walking_xyz`,
+    /// `rgbd_bonn_crowd`, `fr1_desk`. Whole words alone count.
+    #[must_use]
+    pub fn from_recording_name(name: &str) -> Option<Self> {
+        name.split(|c: char| !c.is_ascii_alphanumeric())
+            .find_map(|word| word.to_ascii_lowercase().parse().ok())
+    }
+}
+
+impl FromStr for Preset {
+    type Err = DatasetError;
+
+    /// `freiburg1` or `fr1`, ..., `bonn`.
+    fn from_str(name: &str) -> Result<Self, DatasetError> {
+        match name {
+            "freiburg1" | "fr1" => Ok(Self::Freiburg1),
+            "freiburg2" | "fr2" => Ok(Self::Freiburg2),
+            "freiburg3" | "fr3" => Ok(Self::Freiburg3),
+            "bonn" => Ok(Self::Bonn),
+            _ => Err(DatasetError::UnknownPreset {
+                name: name.to_owned(),
+                presets: PRESETS,
+            }),
+        }
+    }
+}
+
+/// The keys, in the order of the row.
+const KEYS: [&str; 14] = [
+    "width",
+    "height",
+    "fx",
+    "fy",
+    "cx",
+    "cy",
+    "depth_factor",
+    "fps",
+    "k1",
+    "k2",
+    "p1",
+    "p2",
+    "k3",
+    "depth_max_raw",
+];
+/// A row ends here without distortion ...
+const ROW_SHORT: usize = 8;
+/// ... and here with it.
+const ROW_LONG: usize = 13;
+
+impl Calibration {
+    /// Raw depth values from this one on are missing.
+    #[must_use]
+    pub fn missing_from(&self) -> u16 {
+        self.depth_max_raw.unwrap_or(u16::MAX)
+    }
+
+    /// Reads a calibration file; the format is in the [module's words](self).
+    ///
+    /// # Errors
+    /// [`DatasetError::Line`] for an unknown or repeated key, a missing one (at the last line),
+    /// or a number that is none; [`DatasetError::Camera`] for one that cannot be.
+    pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, DatasetError> {
+        let mut values = [None; KEYS.len()];
+        let mut last_line = 1;
+        for_each_line(path, bytes, |place, text| {
+            last_line = place.line;
+            parse_line(place, text, &mut values)
+        })?;
+        let at = |key: usize| {
+            let line = values[key].map_or(last_line, |(line, _)| line);
+            Place { path, line }
+        };
+        let optional = |key: usize| values[key].map(|(_, value)| value);
+        let required = |key: usize| {
+            const EXPECTED: &str = "`width height fx fy cx cy depth_factor fps [k1 k2 p1 p2 k3]` or `key = value` lines";
+            optional(key).ok_or_else(|| at(key).error(format!("no {}", KEYS[key]), EXPECTED))
+        };
+        let count = |key: usize| -> Result<usize, DatasetError> {
+            whole(
+                at(key),
+                required(key)?,
+                f64::from(crate::limits::IMAGE_SIDE_PX),
+            )
+        };
+        let distortion = |key: usize| optional(key).unwrap_or(0.0);
+        let camera = Camera {
+            width: count(0)?,
+            height: count(1)?,
+            fx: required(2)?,
+            fy: required(3)?,
+            cx: required(4)?,
+            cy: required(5)?,
+            distortion: Distortion {
+                k1: distortion(8),
+                k2: distortion(9),
+                p1: distortion(10),
+                p2: distortion(11),
+                k3: distortion(12),
+            },
+        };
+        camera.validate().map_err(|source| {
+            use garad_core::CameraError::{NotFinite, NotPositive};
+            let line = match &source {
+                NotFinite { field, .. } | NotPositive { field, .. } => KEYS
+                    .iter()
+                    .position(|key| key == field)
+                    .map_or(last_line, |key| at(key).line),
+                _ => last_line,
+            };
+            DatasetError::Camera {
+                path: path.to_path_buf(),
+                line,
+                source,
+            }
+        })?;
+        let positive = |key: usize| -> Result<f64, DatasetError> {
+            let value = required(key)?;
+            if value > 0.0 {
+                Ok(value)
+            } else {
+                Err(at(key).error(format!("{} {value}", KEYS[key]), "a positive number"))
+            }
+        };
+        let depth_factor = positive(6)?;
+        let depth_max_raw = match optional(13) {
+            Some(value) => {
+                let whole = whole(at(13), value, f64::from(u16::MAX))?;
+                u16::try_from(whole).ok()
+            }
+            #[allow(clippy::float_cmp, reason = "the file says 1000 or it does not")]
+            None => (depth_factor == MILLIMETRES).then_some(MISSING_FROM_IN_MILLIMETRES),
+        };
+        Ok(Self {
+            camera,
+            depth_factor,
+            fps: positive(7)?,
+            depth_max_raw,
+            source: format!("file {}", path.display()),
+        })
+    }
+}
+
+/// Depth factor of recordings in millimetres ...
+const MILLIMETRES: f64 = 1000.0;
+/// ... and where their holes begin.
+const MISSING_FROM_IN_MILLIMETRES: u16 = 60_000;
+
+/// Line and value of each key.
+type Values = [Option<(usize, f64)>; KEYS.len()];
+
+fn parse_line(place: Place<'_>, text: &str, values: &mut Values) -> Result<(), DatasetError> {
+    const NUMBER: &str = "a finite number";
+    let text = text.split('#').next().unwrap_or_default().trim();
+    if let Some((key, value)) = text.split_once('=') {
+        let key = key.trim();
+        let index = KEYS.iter().position(|known| *known == key).ok_or_else(|| {
+            place.error(
+                format!("key {}", excerpt(key)),
+                "one of width height fx fy cx cy depth_factor fps k1 k2 p1 p2 k3 depth_max_raw",
+            )
+        })?;
+        let value = number(place, value.trim(), NUMBER)?;
+        return set(place, values, index, value);
+    }
+    let fields: Vec<&str> = text.split_whitespace().collect();
+    if ![ROW_SHORT, ROW_LONG].contains(&fields.len()) {
+        return Err(place.error(
+            format!("{} numbers", fields.len()),
+            "8 numbers `width height fx fy cx cy depth_factor fps`, or 13 with `k1 k2 p1 p2 k3`",
+        ));
+    }
+    for (index, field) in fields.into_iter().enumerate() {
+        let value = number(place, field, NUMBER)?;
+        set(place, values, index, value)?;
+    }
+    Ok(())
+}
+
+fn set(
+    place: Place<'_>,
+    values: &mut Values,
+    index: usize,
+    value: f64,
+) -> Result<(), DatasetError> {
+    if values[index].is_some() {
+        return Err(place.error(format!("{} again", KEYS[index]), "each number once"));
+    }
+    values[index] = Some((place.line, value));
+    Ok(())
+}
+
+/// A whole number from 1 to `largest`.
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    clippy::float_cmp,
+    reason = "cast only after the range and the fraction were checked, exactly"
+)]
+fn whole(place: Place<'_>, value: f64, largest: f64) -> Result<usize, DatasetError> {
+    if value >= 1.0 && value <= largest && value == value.trunc() {
+        Ok(value as usize)
+    } else {
+        Err(place.error(format!("{value}"), "a whole number that an image can have"))
+    }
+}

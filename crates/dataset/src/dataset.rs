@@ -1,0 +1,429 @@
+//! [`Dataset`]: a recording, opened; [`Frame`]: one moment of it.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use garad_core::{DepthImage, FrameId, MaskImage, RgbImage, StampedPose};
+use image::ColorType;
+
+use crate::associate::{associate, closest_s};
+use crate::calibration::{Calibration, PRESETS, Preset};
+use crate::decode::{self, Origin};
+use crate::errors::DatasetError;
+use crate::frames::Frames;
+use crate::list::{Entry, parse_list};
+use crate::source::{Source, read_file};
+use crate::trajectory::parse_trajectory;
+
+/// How a recording is opened.
+///
+/// ```
+/// use garad_dataset::{OpenOptions, Preset};
+/// let options = OpenOptions {
+///     preset: Some(Preset::Bonn),
+///     ..OpenOptions::default()
+/// };
+/// assert_eq!(options.max_dt_s, 0.02);
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct OpenOptions {
+    /// Calibration by name.
+    pub preset: Option<Preset>,
+    /// Calibration by file; wins over everything else.
+    pub calibration: Option<PathBuf>,
+    /// Colour and depth belong together up to this difference in time, seconds.
+    pub max_dt_s: f64,
+    /// Times out of order are errors instead of warnings.
+    pub strict: bool,
+    /// Read at most this many frames.
+    pub max_frames: Option<usize>,
+    /// Leave this many frames out at the beginning.
+    pub first_frame: usize,
+}
+
+impl Default for OpenOptions {
+    fn default() -> Self {
+        Self {
+            preset: None,
+            calibration: None,
+            max_dt_s: 0.02,
+            strict: false,
+            max_frames: None,
+            first_frame: 0,
+        }
+    }
+}
+
+/// One moment: colour and depth of the same camera.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    /// Position among the frames read, from 0.
+    pub id: FrameId,
+    /// Time of the colour image, seconds.
+    pub t_s: f64,
+    /// Colour, as recorded (distorted).
+    pub rgb: RgbImage,
+    /// Depth in metres; 0 is missing.
+    pub depth: DepthImage,
+}
+
+/// A recording: lists read, images paired, camera known. Cheap to clone.
+#[derive(Debug, Clone)]
+pub struct Dataset {
+    inner: Arc<Inner>,
+}
+
+#[derive(Debug)]
+struct Inner {
+    path: PathBuf,
+    source: Source,
+    name: String,
+    preset: Option<Preset>,
+    calibration: Calibration,
+    pairs: Vec<(Entry, Entry)>,
+    ground_truth: Option<Vec<StampedPose>>,
+    warnings: Vec<String>,
+}
+
+impl Dataset {
+    /// Opens a folder or an archive.
+    ///
+    /// Colour and depth images are paired by time ([`associate`]); what has no partner is left
+    /// out and counted in the warnings. The camera comes from the first of: the calibration file
+    /// of the options; their preset; `camera.txt` or `calibration.toml` of the recording; the
+    /// preset that the recording's name speaks of. Which it was says [`Calibration::source`].
+    ///
+    /// # Errors
+    /// [`DatasetError`] with file and line, when lists or calibration cannot be read or nothing
+    /// is left to read. Images are not decoded here; only the first header is looked at.
+    pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, DatasetError> {
+        if !(options.max_dt_s >= 0.0 && options.max_dt_s.is_finite()) {
+            return Err(DatasetError::Option {
+                option: "max_dt_s",
+                value: options.max_dt_s.to_string(),
+                expected: "seconds, finite and not negative",
+            });
+        }
+        let source = Source::open(path)?;
+        let name = source.name();
+        let named = Preset::from_recording_name(&name);
+        let calibration = choose_calibration(path, &source, named, options)?;
+        let mut warnings = Vec::new();
+        let pairs = pair_up(path, &source, options, &mut warnings)?;
+        let ground_truth = read_ground_truth(&source, &mut warnings)?;
+        let dataset = Inner {
+            path: path.to_path_buf(),
+            source,
+            name,
+            preset: options.preset.or(named),
+            calibration,
+            pairs,
+            ground_truth,
+            warnings,
+        };
+        dataset.look_at_first().map(|inner| Self {
+            inner: Arc::new(inner),
+        })
+    }
+
+    /// Name of the recording: that of its folder, in an archive too.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.inner.name
+    }
+
+    /// Whose conventions it follows: the preset of the options, or the one its name speaks of
+    /// (the calibration may still have come from a file).
+    #[must_use]
+    pub fn preset(&self) -> Option<Preset> {
+        self.inner.preset
+    }
+
+    /// The camera.
+    #[must_use]
+    pub fn calibration(&self) -> &Calibration {
+        &self.inner.calibration
+    }
+
+    /// Number of frames.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.inner.pairs.len()
+    }
+
+    /// Never true: a recording without frames does not open.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.inner.pairs.is_empty()
+    }
+
+    /// Time of frame i, seconds; `None` past the end.
+    #[must_use]
+    pub fn timestamp(&self, i: usize) -> Option<f64> {
+        self.inner.pairs.get(i).map(|(colour, _)| colour.t_s)
+    }
+
+    /// The true trajectory as `groundtruth.txt` has it, if there is one. For BONN these are poses
+    /// of the marker body, see [`crate::bonn`].
+    #[must_use]
+    pub fn ground_truth(&self) -> Option<&[StampedPose]> {
+        self.inner.ground_truth.as_deref()
+    }
+
+    /// What was odd but not wrong, in words.
+    #[must_use]
+    pub fn warnings(&self) -> &[String] {
+        &self.inner.warnings
+    }
+
+    /// Decodes frame i.
+    ///
+    /// # Errors
+    /// [`DatasetError::NoSuchFrame`], [`DatasetError::Absent`], [`DatasetError::Image`],
+    /// [`DatasetError::ImageSize`], [`DatasetError::TooLarge`], each with frame and file.
+    pub fn read(&self, i: usize) -> Result<Frame, DatasetError> {
+        self.inner.read(i)
+    }
+
+    /// All frames in order, decoded up to `prefetch` frames ahead on a thread of their own; with
+    /// 0 they are decoded when asked for, on the asking thread.
+    #[must_use]
+    pub fn frames(&self, prefetch: usize) -> Frames {
+        Frames::new(self.clone(), prefetch)
+    }
+
+    /// The mask of frame i from a folder of masks: `<timestamp as in rgb.txt>.png`, or named as
+    /// the colour image. 255 moving, 0 static, 128 unknown.
+    ///
+    /// # Errors
+    /// [`DatasetError::NoSuchFrame`], [`DatasetError::NotFound`], [`DatasetError::Image`],
+    /// [`DatasetError::ImageSize`].
+    pub fn read_mask(&self, dir: &Path, i: usize) -> Result<MaskImage, DatasetError> {
+        let (colour, _) = self.inner.pair(i)?;
+        let stem = Path::new(&colour.file).file_stem().unwrap_or_default();
+        let by_stamp = dir.join(format!("{}.png", colour.stamp));
+        let by_name = dir.join(format!("{}.png", stem.to_string_lossy()));
+        let (path, bytes) = match read_file(&by_stamp)? {
+            Some(bytes) => (by_stamp, bytes),
+            None => match read_file(&by_name)? {
+                Some(bytes) => (by_name, bytes),
+                None => {
+                    return Err(DatasetError::NotFound {
+                        path: by_stamp,
+                        expected: "a mask named by the timestamp of its colour image",
+                    });
+                }
+            },
+        };
+        let origin = Origin {
+            frame: Some(i),
+            path: &path,
+        };
+        let mask = decode::mask(&bytes, origin)?;
+        self.inner.check_size(origin, mask.size())?;
+        Ok(mask)
+    }
+}
+
+impl Inner {
+    fn pair(&self, i: usize) -> Result<&(Entry, Entry), DatasetError> {
+        self.pairs.get(i).ok_or_else(|| DatasetError::NoSuchFrame {
+            path: self.path.clone(),
+            frame: i,
+            len: self.pairs.len(),
+        })
+    }
+
+    fn read(&self, i: usize) -> Result<Frame, DatasetError> {
+        let (colour, depth) = self.pair(i)?;
+        let at = |path| Origin {
+            frame: Some(i),
+            path,
+        };
+        let path = self.source.locate(&colour.file);
+        let rgb = decode::colour(&self.image_bytes(i, colour, "rgb.txt")?, at(&path))?;
+        self.check_size(at(&path), rgb.size())?;
+
+        let path = self.source.locate(&depth.file);
+        let depth = decode::depth(
+            &self.image_bytes(i, depth, "depth.txt")?,
+            at(&path),
+            self.calibration.depth_factor,
+            self.calibration.missing_from(),
+        )?;
+        at(&path).check_size(depth.size(), rgb.size(), "the colour image")?;
+        Ok(Frame {
+            id: FrameId(u32::try_from(i).unwrap_or(u32::MAX)), // lists hold at most a million
+            t_s: colour.t_s,
+            rgb,
+            depth,
+        })
+    }
+
+    fn image_bytes(
+        &self,
+        frame: usize,
+        entry: &Entry,
+        list: &str,
+    ) -> Result<Vec<u8>, DatasetError> {
+        self.source
+            .read(&entry.file)?
+            .ok_or_else(|| DatasetError::Absent {
+                frame,
+                path: self.source.locate(&entry.file),
+                list: self.source.locate(list),
+                line: entry.line,
+            })
+    }
+
+    fn check_size(&self, origin: Origin<'_>, size: (usize, usize)) -> Result<(), DatasetError> {
+        let camera = &self.calibration.camera;
+        let reference = format!("the calibration ({})", self.calibration.source);
+        origin.check_size(size, (camera.width, camera.height), &reference)
+    }
+
+    /// The first header tells whether the camera fits at all, and what is converted. A first
+    /// image that cannot be read is left to [`Inner::read`], like any other.
+    fn look_at_first(mut self) -> Result<Self, DatasetError> {
+        let (colour, _) = self.pair(0)?;
+        let path = self.source.locate(&colour.file);
+        let origin = Origin {
+            frame: Some(0),
+            path: &path,
+        };
+        let Ok(Some(bytes)) = self.source.read(&colour.file) else {
+            return Ok(self);
+        };
+        let Ok(kind) = decode::probe_colour(&bytes, origin) else {
+            return Ok(self);
+        };
+        self.check_size(origin, kind.size)?;
+        let conversion = match kind.color {
+            ColorType::Rgba8 => "its alpha is left out",
+            ColorType::L8 => "grey stands for all three colours",
+            ColorType::La8 => "grey stands for all three colours, its alpha is left out",
+            _ => return Ok(self),
+        };
+        self.warnings.push(format!(
+            "{}: {}; {conversion}",
+            path.display(),
+            decode::describe(kind)
+        ));
+        Ok(self)
+    }
+}
+
+fn choose_calibration(
+    path: &Path,
+    source: &Source,
+    named: Option<Preset>,
+    options: &OpenOptions,
+) -> Result<Calibration, DatasetError> {
+    if let Some(file) = &options.calibration {
+        let bytes = read_file(file)?.ok_or_else(|| DatasetError::NotFound {
+            path: file.clone(),
+            expected: "a calibration file",
+        })?;
+        return Calibration::parse(file, &bytes);
+    }
+    if let Some(preset) = options.preset {
+        return Ok(preset.calibration());
+    }
+    for file in ["camera.txt", "calibration.toml"] {
+        if let Some(bytes) = source.read(file)? {
+            return Calibration::parse(&source.locate(file), &bytes);
+        }
+    }
+    let Some(preset) = named else {
+        return Err(DatasetError::NoCalibration {
+            path: path.to_path_buf(),
+            presets: PRESETS,
+        });
+    };
+    let mut calibration = preset.calibration();
+    calibration.source = format!("preset {}, from the recording's name", preset.name());
+    Ok(calibration)
+}
+
+/// Reads both lists and pairs them; cuts the result as the options say.
+fn pair_up(
+    path: &Path,
+    source: &Source,
+    options: &OpenOptions,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<(Entry, Entry)>, DatasetError> {
+    let mut read_list = |name: &str| {
+        let bytes = source
+            .read(name)?
+            .ok_or_else(|| DatasetError::NotARecording {
+                path: path.to_path_buf(),
+                found: format!("no readable {name}"),
+            })?;
+        parse_list(&source.locate(name), &bytes, options.strict, warnings)
+    };
+    let colour = read_list("rgb.txt")?;
+    let depth = read_list("depth.txt")?;
+    let times = |list: &[Entry]| -> Vec<f64> { list.iter().map(|entry| entry.t_s).collect() };
+    let (colour_s, depth_s) = (times(&colour), times(&depth));
+    let pairs = associate(&colour_s, &depth_s, options.max_dt_s);
+    if pairs.is_empty() {
+        return Err(DatasetError::NoPairs {
+            path: path.to_path_buf(),
+            colour: colour.len(),
+            depth: depth.len(),
+            max_dt_s: options.max_dt_s,
+            closest_s: closest_s(&colour_s, &depth_s),
+        });
+    }
+    let window_ms = options.max_dt_s * 1e3;
+    for (mine, total, other) in [
+        ("colour", colour.len(), "depth"),
+        ("depth", depth.len(), "colour"),
+    ] {
+        if total > pairs.len() {
+            warnings.push(format!(
+                "{} of {total} {mine} images have no {other} image of their own within {window_ms} ms",
+                total - pairs.len()
+            ));
+        }
+    }
+    let first = options.first_frame;
+    if first >= pairs.len() {
+        return Err(DatasetError::NoSuchFrame {
+            path: path.to_path_buf(),
+            frame: first,
+            len: pairs.len(),
+        });
+    }
+    if options.max_frames == Some(0) {
+        return Err(DatasetError::Option {
+            option: "max_frames",
+            value: "0".to_owned(),
+            expected: "at least 1",
+        });
+    }
+    let count = options.max_frames.unwrap_or(usize::MAX);
+    Ok(pairs
+        .into_iter()
+        .skip(first)
+        .take(count)
+        .map(|(i, j)| (colour[i].clone(), depth[j].clone()))
+        .collect())
+}
+
+fn read_ground_truth(
+    source: &Source,
+    warnings: &mut Vec<String>,
+) -> Result<Option<Vec<StampedPose>>, DatasetError> {
+    const FILE: &str = "groundtruth.txt";
+    let Some(bytes) = source.read(FILE)? else {
+        return Ok(None);
+    };
+    let path = source.locate(FILE);
+    let poses = parse_trajectory(&path, &bytes)?;
+    if poses.is_empty() {
+        warnings.push(format!("{}: holds no pose", path.display()));
+        return Ok(None);
+    }
+    Ok(Some(poses))
+}

@@ -1,0 +1,216 @@
+//! PNG and JPEG to images: kind, size and completeness checked, always within [`crate::limits`].
+
+use std::io::Cursor;
+use std::path::Path;
+
+use garad_core::{DepthImage, MaskImage, RgbImage};
+use image::{ColorType, ImageDecoder, ImageFormat, ImageReader, Limits};
+
+use crate::errors::DatasetError;
+use crate::limits;
+
+const COLOUR: &str = "an 8-bit PNG or JPEG";
+const DEPTH: &str = "a 16-bit grey PNG";
+const MASK: &str = "an 8-bit grey PNG of 0 (static), 128 (unknown) and 255 (moving)";
+
+/// The file an image comes from, and the frame it belongs to, for messages.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Origin<'a> {
+    pub(crate) frame: Option<usize>,
+    pub(crate) path: &'a Path,
+}
+
+impl Origin<'_> {
+    fn error(self, problem: impl ToString, expected: &'static str) -> DatasetError {
+        DatasetError::Image {
+            frame: self.frame,
+            path: self.path.to_path_buf(),
+            problem: problem.to_string().replace('\n', " "),
+            expected,
+        }
+    }
+
+    /// An image has the size of its reference, or the error.
+    pub(crate) fn check_size(
+        self,
+        found: (usize, usize),
+        expected: (usize, usize),
+        reference: &str,
+    ) -> Result<(), DatasetError> {
+        if found == expected {
+            return Ok(());
+        }
+        Err(DatasetError::ImageSize {
+            frame: self.frame,
+            path: self.path.to_path_buf(),
+            found,
+            expected,
+            reference: reference.to_owned(),
+        })
+    }
+}
+
+/// What an image is before its pixels are decoded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Kind {
+    pub(crate) size: (usize, usize),
+    pub(crate) format: ImageFormat,
+    pub(crate) color: ColorType,
+}
+
+/// A decoder whose header has been read and found small enough.
+fn decoder<'a>(
+    bytes: &'a [u8],
+    origin: Origin<'_>,
+    expected: &'static str,
+) -> Result<(Kind, impl ImageDecoder + 'a), DatasetError> {
+    if bytes.is_empty() {
+        return Err(origin.error("an empty file", expected));
+    }
+    let mut reader = ImageReader::new(Cursor::new(bytes))
+        .with_guessed_format()
+        .map_err(|e| origin.error(e, expected))?;
+    let format = match reader.format() {
+        Some(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,
+        _ => return Err(origin.error("neither PNG nor JPEG", expected)),
+    };
+    let mut caps = Limits::default();
+    caps.max_image_width = Some(limits::IMAGE_SIDE_PX);
+    caps.max_image_height = Some(limits::IMAGE_SIDE_PX);
+    caps.max_alloc = Some(limits::IMAGE_DECODED_BYTES);
+    reader.limits(caps);
+    // A cut JPEG decodes into a picture with a grey end; only the missing end marker tells.
+    if format == ImageFormat::Jpeg && !bytes.windows(2).rev().any(|pair| pair == [0xFF, 0xD9]) {
+        return Err(origin.error("it ends early", expected));
+    }
+    let decoder = reader
+        .into_decoder()
+        .map_err(|e| origin.error(e, expected))?;
+    let (width, height) = decoder.dimensions();
+    if decoder.total_bytes() > limits::IMAGE_DECODED_BYTES {
+        return Err(DatasetError::TooLarge {
+            path: origin.path.to_path_buf(),
+            what: "decoded size in bytes",
+            value: decoder.total_bytes(),
+            limit: limits::IMAGE_DECODED_BYTES,
+        });
+    }
+    let kind = Kind {
+        size: (width as usize, height as usize),
+        format,
+        color: decoder.color_type(),
+    };
+    Ok((kind, decoder))
+}
+
+/// Reads the header alone.
+pub(crate) fn probe_colour(bytes: &[u8], origin: Origin<'_>) -> Result<Kind, DatasetError> {
+    decoder(bytes, origin, COLOUR).map(|(kind, _)| kind)
+}
+
+#[allow(
+    clippy::cast_possible_truncation,
+    reason = "total_bytes is at most IMAGE_DECODED_BYTES"
+)]
+fn pixels(
+    decoder: impl ImageDecoder,
+    origin: Origin<'_>,
+    expected: &'static str,
+) -> Result<Vec<u8>, DatasetError> {
+    let mut bytes = vec![0; decoder.total_bytes() as usize];
+    decoder
+        .read_image(&mut bytes)
+        .map_err(|e| origin.error(e, expected))?;
+    Ok(bytes)
+}
+
+/// Colour: 8-bit RGB as it is, RGBA without its alpha, grey three times.
+///
+/// # Errors
+/// [`DatasetError::Image`] for another kind of file, 16-bit colour or cut data.
+pub(crate) fn colour(bytes: &[u8], origin: Origin<'_>) -> Result<RgbImage, DatasetError> {
+    let (kind, decoder) = decoder(bytes, origin, COLOUR)?;
+    if !matches!(
+        kind.color,
+        ColorType::Rgb8 | ColorType::Rgba8 | ColorType::L8 | ColorType::La8
+    ) {
+        return Err(origin.error(describe(kind), COLOUR));
+    }
+    let bytes = pixels(decoder, origin, COLOUR)?;
+    let data: Vec<[u8; 3]> = match kind.color {
+        ColorType::Rgb8 => bytes.as_chunks().0.to_vec(),
+        ColorType::Rgba8 => bytes.chunks_exact(4).map(|p| [p[0], p[1], p[2]]).collect(),
+        ColorType::La8 => bytes.chunks_exact(2).map(|p| [p[0]; 3]).collect(),
+        _ => bytes.iter().map(|&v| [v; 3]).collect(),
+    };
+    let (width, height) = kind.size;
+    RgbImage::from_vec(width, height, data)
+        .ok_or_else(|| origin.error("wrong number of pixels", COLOUR))
+}
+
+/// Depth in metres: raw / `depth_factor`, computed in f64 and rounded once; 0 stays 0, raw
+/// values from `missing_from` on become 0.
+///
+/// # Errors
+/// [`DatasetError::Image`] for anything but a whole 16-bit grey PNG.
+pub(crate) fn depth(
+    bytes: &[u8],
+    origin: Origin<'_>,
+    depth_factor: f64,
+    missing_from: u16,
+) -> Result<DepthImage, DatasetError> {
+    let (kind, decoder) = decoder(bytes, origin, DEPTH)?;
+    if kind.format != ImageFormat::Png || kind.color != ColorType::L16 {
+        return Err(origin.error(describe(kind), DEPTH));
+    }
+    let bytes = pixels(decoder, origin, DEPTH)?;
+    #[allow(clippy::cast_possible_truncation, reason = "rounding is the purpose")]
+    let metres = |raw: u16| {
+        if raw < missing_from {
+            (f64::from(raw) / depth_factor) as f32
+        } else {
+            0.0
+        }
+    };
+    // The decoder hands out 16-bit numbers in the machine's own order.
+    let data = bytes.as_chunks().0.iter();
+    let data = data.map(|&pair| metres(u16::from_ne_bytes(pair))).collect();
+    let (width, height) = kind.size;
+    DepthImage::from_vec(width, height, data)
+        .ok_or_else(|| origin.error("wrong number of pixels", DEPTH))
+}
+
+/// A mask: 255 moving, 0 static, 128 unknown.
+///
+/// # Errors
+/// [`DatasetError::Image`] for another kind of file or another value, named with its pixel.
+pub(crate) fn mask(bytes: &[u8], origin: Origin<'_>) -> Result<MaskImage, DatasetError> {
+    let (kind, decoder) = decoder(bytes, origin, MASK)?;
+    if kind.format != ImageFormat::Png || kind.color != ColorType::L8 {
+        return Err(origin.error(describe(kind), MASK));
+    }
+    let data = pixels(decoder, origin, MASK)?;
+    let (width, height) = kind.size;
+    if let Some(i) = data.iter().position(|v| ![0, 128, 255].contains(v)) {
+        let problem = format!("value {} at pixel ({}, {})", data[i], i % width, i / width);
+        return Err(origin.error(problem, MASK));
+    }
+    MaskImage::from_vec(width, height, data)
+        .ok_or_else(|| origin.error("wrong number of pixels", MASK))
+}
+
+/// `8-bit grey PNG`.
+pub(crate) fn describe(kind: Kind) -> String {
+    let bits = kind.color.bits_per_pixel() / u16::from(kind.color.channel_count());
+    let channels = match kind.color.channel_count() {
+        1 => "grey",
+        2 => "grey with alpha",
+        3 => "RGB",
+        _ => "RGBA",
+    };
+    let format = match kind.format {
+        ImageFormat::Jpeg => "JPEG",
+        _ => "PNG",
+    };
+    format!("{bits}-bit {channels} {format}")
+}

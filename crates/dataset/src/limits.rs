@@ -1,0 +1,29 @@
+//! How much of a file is believed: caps that keep a hostile or broken input from filling the
+//! memory. Each is checked before the memory is asked for.
+
+/// Columns and rows of an image.
+pub const IMAGE_SIDE_PX: u32 = 4096;
+/// Bytes of a decoded image, and of what its decoder needs besides.
+pub const IMAGE_DECODED_BYTES: u64 = 64 << 20;
+/// Bytes of one file: an image, a list, a trajectory.
+pub const FILE_BYTES: u64 = 64 << 20;
+/// Bytes of a whole archive, unpacked.
+pub const ARCHIVE_BYTES: u64 = 4 << 30;
+/// Unpacked bytes per packed byte; PNG does not shrink, so a real recording stays below 2.
+pub const ARCHIVE_RATIO: u64 = 200;
+/// [`ARCHIVE_RATIO`] is looked at after this many unpacked bytes.
+pub const ARCHIVE_RATIO_FROM_BYTES: u64 = 16 << 20;
+/// Entries of an archive.
+pub const ARCHIVE_ENTRIES: usize = 1_000_000;
+/// Bytes of an archive's long name (GNU or pax record).
+pub const ARCHIVE_NAME_BYTES: u64 = 64 << 10;
+/// Lines of a list or trajectory.
+pub const LIST_LINES: usize = 1_000_000;
+/// Bytes of a line of text.
+pub const LINE_BYTES: usize = 4 << 10;
+/// Gaussians of a map.
+pub const GAUSSIANS: u64 = 2_000_000;
+/// Bytes of a PLY header.
+pub const PLY_HEADER_BYTES: usize = 64 << 10;
+/// Latest time of a recording, seconds. A number above it is most likely in nanoseconds.
+pub const TIME_S: f64 = 1e11;

@@ -1,0 +1,177 @@
+//! Image lists: `rgb.txt` and `depth.txt`, lines `timestamp filename`.
+
+use std::path::Path;
+
+use crate::errors::{DatasetError, excerpt};
+use crate::source::clean_name;
+use crate::text::{Place, for_each_line, time_s};
+
+/// One line of a list.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Entry {
+    /// Seconds.
+    pub(crate) t_s: f64,
+    /// The time as written: other files of the recording are named by it.
+    pub(crate) stamp: String,
+    /// Relative to the list, see [`clean_name`].
+    pub(crate) file: String,
+    /// Line in the list, from 1.
+    pub(crate) line: usize,
+}
+
+/// Reads a list; the result is sorted by time, without duplicate times.
+///
+/// Lines out of order are sorted, a line whose time an earlier line has is left out; both are
+/// counted in `warnings`. With `strict` they are errors.
+///
+/// # Errors
+/// [`DatasetError::Line`] for a line that is not `timestamp filename`,
+/// [`DatasetError::UnsafeName`] for a name that leads out of the recording,
+/// [`DatasetError::EmptyList`].
+pub(crate) fn parse_list(
+    path: &Path,
+    bytes: &[u8],
+    strict: bool,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<Entry>, DatasetError> {
+    let mut entries: Vec<Entry> = Vec::new();
+    let mut first_backward = None;
+    let mut backward = 0;
+    for_each_line(path, bytes, |place, text| {
+        let entry = parse_line(place, text)?;
+        if let Some(last) = entries.last()
+            && entry.t_s < last.t_s
+        {
+            if strict {
+                return Err(place.error(
+                    format!("time {} after {}", entry.stamp, last.stamp),
+                    "ascending times",
+                ));
+            }
+            first_backward.get_or_insert(place.line);
+            backward += 1;
+        }
+        entries.push(entry);
+        Ok(())
+    })?;
+    if entries.is_empty() {
+        return Err(DatasetError::EmptyList {
+            path: path.to_path_buf(),
+        });
+    }
+    if let Some(line) = first_backward {
+        entries.sort_by(|a, b| a.t_s.total_cmp(&b.t_s).then(a.line.cmp(&b.line)));
+        warnings.push(format!(
+            "{}:{line}: time goes back, {backward} such lines; sorted",
+            path.display()
+        ));
+    }
+    let mut duplicates: Vec<usize> = Vec::new();
+    entries.dedup_by(|later, kept| {
+        let same = later.t_s.total_cmp(&kept.t_s).is_eq();
+        if same {
+            duplicates.push(later.line);
+        }
+        same
+    });
+    if let Some(&line) = duplicates.iter().min() {
+        let place = Place { path, line };
+        if strict {
+            return Err(place.error("the time of an earlier line", "ascending times"));
+        }
+        warnings.push(format!(
+            "{}:{line}: time of an earlier line, {} such lines; left out",
+            path.display(),
+            duplicates.len()
+        ));
+    }
+    Ok(entries)
+}
+
+fn parse_line(place: Place<'_>, text: &str) -> Result<Entry, DatasetError> {
+    let mut fields = text.split_whitespace();
+    let (Some(stamp), Some(file), None) = (fields.next(), fields.next(), fields.next()) else {
+        return Err(place.error(excerpt(text), "`timestamp filename`"));
+    };
+    let Some(clean) = clean_name(file) else {
+        return Err(DatasetError::UnsafeName {
+            path: place.path.to_path_buf(),
+            name: file.to_owned(),
+        });
+    };
+    Ok(Entry {
+        t_s: time_s(place, stamp)?,
+        stamp: stamp.to_owned(),
+        file: clean,
+        line: place.line,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str, strict: bool) -> (Result<Vec<Entry>, DatasetError>, Vec<String>) {
+        let mut warnings = Vec::new();
+        let list = parse_list(Path::new("rgb.txt"), text.as_bytes(), strict, &mut warnings);
+        (list, warnings)
+    }
+
+    #[test]
+    fn lines_keep_time_stamp_file_and_number() {
+        let (list, warnings) = parse("# colour\r\n1.50\trgb/1.50.png\r\n2 b.png \n", true);
+        let list = list.expect("fine");
+        assert_eq!(
+            list[0],
+            Entry {
+                t_s: 1.5,
+                stamp: "1.50".to_owned(),
+                file: "rgb/1.50.png".to_owned(),
+                line: 2
+            }
+        );
+        assert_eq!((list.len(), warnings.len()), (2, 0), "no more, no warning");
+    }
+
+    #[test]
+    fn disorder_is_sorted_or_refused() {
+        let text = "1 a\n3 b\n2 c\n3.0 d\n";
+        let (list, warnings) = parse(text, false);
+        let files: Vec<_> = list.expect("sorted").into_iter().map(|e| e.file).collect();
+        assert_eq!(files, ["a", "c", "b"], "sorted, the earlier line kept");
+        assert_eq!(warnings.len(), 2, "{warnings:?}");
+        assert!(
+            warnings[0].starts_with("rgb.txt:3: time goes back"),
+            "{warnings:?}"
+        );
+        assert!(warnings[1].starts_with("rgb.txt:4:"), "{warnings:?}");
+        let message = parse(text, true).0.expect_err("strict").to_string();
+        assert!(message.starts_with("rgb.txt:3:"), "{message}");
+        let message = parse("1 a\n1 b\n", true).0.expect_err("strict").to_string();
+        assert!(message.starts_with("rgb.txt:2:"), "{message}");
+    }
+
+    #[test]
+    fn bad_lines_are_named() {
+        for bad in ["5", "5 a b", "x a", "NaN a", "inf a", "-1 a", "1e300 a"] {
+            let message = parse(&format!("1 ok\n{bad}\n"), false)
+                .0
+                .expect_err(bad)
+                .to_string();
+            assert!(message.starts_with("rgb.txt:2:"), "{bad}: {message}");
+        }
+        for bad in ["../a", "/etc/passwd", "a/../../b", "a\\..\\b", "C:/x", "."] {
+            let (list, _) = parse(&format!("1 {bad}\n"), false);
+            assert!(
+                matches!(list, Err(DatasetError::UnsafeName { .. })),
+                "{bad}: {list:?}"
+            );
+        }
+        for empty in ["", "# only\n\n"] {
+            assert!(
+                matches!(parse(empty, false).0, Err(DatasetError::EmptyList { .. })),
+                "{empty:?}"
+            );
+        }
+    }
+}
