@@ -89,7 +89,7 @@ pub fn align_trajectory(aligned_from_world: &Sim3, trajectory: &[StampedPose]) -
 /// the minimum is that of Umeyama 1991. Golden: `trajectory/umeyama_*`.
 ///
 /// # Errors
-/// [`EvalError::SizeMismatch`] for lists of unequal length, [`EvalError::TooFewPairs`] below 3
+/// [`EvalError::SizeMismatch`] for lists of unequal length, [`EvalError::TooFew`] below 3
 /// points, [`EvalError::NonFinite`], [`EvalError::ScaleUndetermined`].
 pub fn align_points(
     from: &[Vector3<f64>],
@@ -114,7 +114,8 @@ pub fn align_points(
         return Ok(Sim3::identity());
     }
     if from.len() < 3 {
-        return Err(EvalError::TooFewPairs {
+        return Err(EvalError::TooFew {
+            what: "points",
             got: from.len(),
             needed: 3,
         });
@@ -278,7 +279,15 @@ mod tests {
     fn bad_input_is_named() {
         let two = cloud(1, 2, [1.0; 3]);
         let error = align_points(&two, &two, Alignment::Rigid).expect_err("two points");
-        assert_eq!(error, EvalError::TooFewPairs { got: 2, needed: 3 }, "few");
+        assert_eq!(
+            error,
+            EvalError::TooFew {
+                what: "points",
+                got: 2,
+                needed: 3
+            },
+            "few"
+        );
         let error = align_points(&two, &two[..1], Alignment::Rigid).expect_err("uneven");
         assert!(matches!(error, EvalError::SizeMismatch { .. }), "{error}");
         let mut bad = cloud(1, 4, [1.0; 3]);

@@ -72,7 +72,7 @@ pub struct Ate {
 /// closely). Golden: `trajectory/*`.
 ///
 /// # Errors
-/// As [`associate`] and [`align_points`]; in particular [`EvalError::TooFewPairs`] below 3 pairs,
+/// As [`associate`] and [`align_points`]; in particular [`EvalError::TooFew`] below 3 pairs,
 /// which a rigid motion would fit exactly (1 pair is enough without alignment).
 pub fn ate(
     ground_truth: &[StampedPose],
@@ -183,7 +183,15 @@ mod tests {
     fn two_pairs_are_no_judgement() {
         let truth = walk(2, 0.0);
         let error = ate(&truth, &truth, &AteOptions::default()).expect_err("two pairs");
-        assert_eq!(error, EvalError::TooFewPairs { got: 2, needed: 3 }, "few");
+        assert_eq!(
+            error,
+            EvalError::TooFew {
+                what: "points",
+                got: 2,
+                needed: 3
+            },
+            "few"
+        );
     }
 
     #[test]

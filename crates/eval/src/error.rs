@@ -5,12 +5,14 @@ use thiserror::Error;
 /// Why there is no figure.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum EvalError {
-    /// Fewer pairs than the figure needs.
-    #[error("{got} pairs, at least {needed} are needed")]
-    TooFewPairs {
-        /// Pairs there are.
+    /// Fewer of something than the figure needs.
+    #[error("{got} {what}, at least {needed} are needed")]
+    TooFew {
+        /// What is counted.
+        what: &'static str,
+        /// How many there are.
         got: usize,
-        /// Pairs the figure is defined for.
+        /// How many the figure is defined for.
         needed: usize,
     },
     /// No estimate has a ground-truth pose near it in time.

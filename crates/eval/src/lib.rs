@@ -11,6 +11,9 @@ pub mod align;
 pub mod associate;
 pub mod ate;
 pub mod error;
+pub mod image_metrics;
+pub mod labels;
+pub mod metrics;
 pub mod rpe;
 pub mod stats;
 
@@ -18,5 +21,10 @@ pub use align::{Alignment, Sim3, align_points, align_trajectory};
 pub use associate::{MAX_DT_S, associate, nearest_in_time};
 pub use ate::{Ate, AteOptions, AtePoint, ate};
 pub use error::EvalError;
+pub use image_metrics::{
+    DepthL1, PictureQuality, compare_pictures, depth_l1, psnr_db, ssim, ssim_map,
+};
+pub use labels::Confusion;
+pub use metrics::{Metrics, StageTiming};
 pub use rpe::{Rpe, RpeDelta, RpeOptions, rpe};
 pub use stats::Stats;

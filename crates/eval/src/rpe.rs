@@ -66,7 +66,7 @@ pub struct Rpe {
 /// Source: Sturm et al. 2012, eq. 1. Golden: `trajectory/*`.
 ///
 /// # Errors
-/// As [`associate`]; [`EvalError::TooFewPairs`] when no step fits into the trajectory,
+/// As [`associate`]; [`EvalError::TooFew`] when no step fits into the trajectory,
 /// [`EvalError::Option`] for a step of 0.
 pub fn rpe(
     ground_truth: &[StampedPose],
@@ -74,7 +74,7 @@ pub fn rpe(
     options: &RpeOptions,
 ) -> Result<Rpe, EvalError> {
     check(ground_truth, estimate, options.max_dt_s)?;
-    let pairs = match options.delta {
+    let pairs: Vec<Step> = match options.delta {
         RpeDelta::Frames(delta) => {
             positive("delta", delta as f64)?;
             let pairs = associate(ground_truth, estimate, options.max_dt_s)?;
@@ -100,6 +100,13 @@ pub fn rpe(
             e.rotation.log().norm().to_degrees(),
         )
     };
+    if pairs.is_empty() {
+        return Err(EvalError::TooFew {
+            what: "steps",
+            got: 0,
+            needed: 1,
+        });
+    }
     let steps: Vec<_> = pairs.iter().map(error).collect();
     let column = |f: fn(&(f64, f64, f64)) -> f64| steps.iter().map(f).collect::<Vec<_>>();
     Ok(Rpe {
@@ -213,7 +220,15 @@ mod tests {
     fn too_short_a_trajectory_is_an_error() {
         let short = straight(5, 1.0, 0.0);
         let error = rpe(&short, &short, &RpeOptions::default()).expect_err("0.4 s");
-        assert_eq!(error, EvalError::TooFewPairs { got: 0, needed: 1 }, "time");
+        assert_eq!(
+            error,
+            EvalError::TooFew {
+                what: "steps",
+                got: 0,
+                needed: 1
+            },
+            "time"
+        );
         for delta in [RpeDelta::Frames(0), RpeDelta::Seconds(f64::NAN)] {
             let options = RpeOptions {
                 delta,

@@ -34,11 +34,15 @@ impl Stats {
     /// Summary of `errors`, summed in their order.
     ///
     /// # Errors
-    /// [`EvalError::TooFewPairs`] for an empty list, [`EvalError::NonFinite`] for NaN or infinity.
+    /// [`EvalError::TooFew`] for an empty list, [`EvalError::NonFinite`] for NaN or infinity.
     pub fn of(errors: &[f64]) -> Result<Self, EvalError> {
         let pairs = errors.len();
         if pairs == 0 {
-            return Err(EvalError::TooFewPairs { got: 0, needed: 1 });
+            return Err(EvalError::TooFew {
+                what: "errors",
+                got: 0,
+                needed: 1,
+            });
         }
         if let Some(index) = errors.iter().position(|e| !e.is_finite()) {
             return Err(EvalError::NonFinite {
@@ -92,7 +96,11 @@ mod tests {
         let nothing = Stats::of(&[]);
         assert_eq!(
             nothing,
-            Err(EvalError::TooFewPairs { got: 0, needed: 1 }),
+            Err(EvalError::TooFew {
+                what: "errors",
+                got: 0,
+                needed: 1
+            }),
             "empty"
         );
         let nan = EvalError::NonFinite {

@@ -85,6 +85,36 @@ pub const TABLE: &[Tolerance] = &[
     abs_rel("camera.jacobian", 1e-10, 1e-13, "a few products and one division"),
     abs_rel("camera.pixel", 1e-12, 1e-13, "polynomial of degree 7 and one division; px"),
     abs_rel("camera.undistorted", 1e-9, 0.0, "Newton stops at 1e-12 in normalised coordinates, f = 500 px"),
+    // raster, forward in f64
+    abs_rel("raster.color", 1e-12, 1e-12, "sums of at most some hundred weights; alpha is conditioned like its power, |power| < 6"),
+    vector("raster.depth", 0.0, 1e-12, "as colour, in metres"),
+    abs_rel("raster.transmittance", 1e-13, 1e-11, "a product: relative errors add up"),
+    abs_rel("raster.mean_px", 1e-12, 1e-13, "two products and a division; px"),
+    abs_rel("raster.depth_m", 0.0, 1e-14, "three products and their sum"),
+    vector("raster.conic", 0.0, 1e-11, "the determinant's condition, with half-axes 1:1000"),
+    // raster, forward in f32 against f64: 8 times what a rewrite of the formulas in f32 was measured to lose
+    vector("raster.f32.color", 0.0, 2.3e-5, "8 x 2.8e-6, away from the cuts"),
+    vector("raster.f32.transmittance", 0.0, 5.6e-5, "8 x 7.0e-6, away from the cuts"),
+    vector("raster.f32.depth", 0.0, 5.3e-5, "8 x 6.6e-6, away from the cuts"),
+    vector("raster.f32.mean_px", 0.0, 2.1e-6, "8 x 2.6e-7"),
+    vector("raster.f32.depth_m", 0.0, 1.1e-6, "8 x 1.3e-7"),
+    vector("raster.f32.conic", 0.0, 4.6e-6, "8 x 5.7e-7"),
+    Tolerance { name: "raster.f32.flips", class: Class::Banded { tight: 1e-4, share: 2e-2, hard: 1e-2 }, reason: "a splat that crosses 1/255 moves a channel by up to 1/255 and what lies behind it" },
+    // trajectory
+    abs_rel("trajectory.rotation", 2e-15, 0.0, "entries of R; eigenvectors of a 4x4 matrix"),
+    abs_rel("trajectory.rotation_narrow", 1e-10, 0.0, "1e-16 over the ratio 1e-6 of the variances across and along the line"),
+    vector("trajectory.translation", 0.0, 1e-14, "R times a mean of size 1, difference of two such"),
+    abs_rel("trajectory.scale", 0.0, 2e-15, "quotient of two sums of squares"),
+    abs_rel("trajectory.rotation_evo", 4e-15, 0.0, "as rotation; evo's own rounding on top"),
+    vector("trajectory.translation_evo", 0.0, 5e-15, "as translation; evo's own rounding on top"),
+    abs_rel("trajectory.scale_evo", 0.0, 5e-15, "as scale; evo's own rounding on top"),
+    abs_rel("trajectory.stats", 3e-14, 1e-14, "m and degrees: smallest errors are differences of numbers of size 1 to 60"),
+    abs_rel("trajectory.errors", 6e-15, 0.0, "differences of positions of size 1 to 4 m"),
+    // image_metrics
+    abs_rel("image_metrics.ssim_map", 4e-13, 0.0, "variances are differences of size 1e-16, divided by C2 = 9e-4 and more"),
+    abs_rel("image_metrics.ssim", 2e-14, 0.0, "mean over the map"),
+    abs_rel("image_metrics.psnr", 2e-13, 0.0, "4.3 dB times the relative rounding of a mean of 1e4 squares; cv2 adds 2.2e-16 to the RMS"),
+    abs_rel("image_metrics.depth", 0.0, 1e-15, "mean of 100 numbers"),
 ];
 
 /// The entry of this name.

@@ -1,0 +1,318 @@
+//! `metrics.json`: the figures of a run for machines. The keys do not change.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Ate, Confusion, Rpe};
+
+/// Version of the layout; raised when a key changes its meaning or goes.
+pub const SCHEMA: u32 = 1;
+
+/// All figures of a run. Every key is always present; a figure that cannot be judged is `null`.
+///
+/// Keys are written in the order of the fields, so that two files differ only where runs do.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Metrics {
+    /// [`SCHEMA`].
+    pub schema: u32,
+    /// Version of the program.
+    pub version: String,
+    /// Name of the recording.
+    pub dataset: String,
+    /// Frames read.
+    pub frames: usize,
+    /// Frames with a pose.
+    pub tracked: usize,
+    /// Threads the run was allowed.
+    pub threads: usize,
+    /// Absolute trajectory error.
+    pub ate: AteMetrics,
+    /// Relative pose error over 1 s.
+    pub rpe: RpeMetrics,
+    /// All frames, whole picture.
+    pub render: RenderMetrics,
+    /// All frames, outside the moving mask.
+    pub render_static: RenderMetrics,
+    /// Moving or static.
+    pub labels: LabelMetrics,
+    /// The map at the end.
+    pub map: MapMetrics,
+    /// Per stage, by name.
+    pub timing: BTreeMap<String, StageTiming>,
+    /// Duration of the run, seconds.
+    pub wall_s: Option<f64>,
+    /// Largest resident memory, MiB.
+    pub peak_rss_mb: Option<f64>,
+}
+
+/// See [`crate::ate()`].
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct AteMetrics {
+    /// Root mean square, metres.
+    pub rmse_m: Option<f64>,
+    /// Mean, metres.
+    pub mean_m: Option<f64>,
+    /// Median, metres.
+    pub median_m: Option<f64>,
+    /// Population standard deviation, metres.
+    pub std_m: Option<f64>,
+    /// Largest, metres.
+    pub max_m: Option<f64>,
+    /// Pairs of poses judged.
+    pub pairs: Option<usize>,
+}
+
+/// See [`crate::rpe()`].
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct RpeMetrics {
+    /// Root mean square of the translation error, metres per second.
+    pub trans_rmse_m_per_s: Option<f64>,
+    /// Root mean square of the rotation error, degrees per second.
+    pub rot_rmse_deg_per_s: Option<f64>,
+}
+
+/// See [`crate::image_metrics`]; means over frames.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct RenderMetrics {
+    /// Decibels.
+    pub psnr_db: Option<f64>,
+    /// At most 1.
+    pub ssim: Option<f64>,
+}
+
+/// See [`crate::labels`].
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct LabelMetrics {
+    /// Labels of keypoints.
+    pub keypoints: KeypointLabels,
+    /// Rendered masks.
+    pub pixels: PixelLabels,
+}
+
+/// Labels of keypoints against the true mask.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct KeypointLabels {
+    /// How much of what was called moving is.
+    pub precision: Option<f64>,
+    /// How much of what moves was found.
+    pub recall: Option<f64>,
+    /// Harmonic mean of the two.
+    pub f1: Option<f64>,
+}
+
+/// Rendered masks against the true ones.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct PixelLabels {
+    /// How much of what was called moving is.
+    pub precision: Option<f64>,
+    /// How much of what moves was found.
+    pub recall: Option<f64>,
+    /// Harmonic mean of the two.
+    pub f1: Option<f64>,
+    /// Intersection over union.
+    pub iou: Option<f64>,
+}
+
+/// Size of the map.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct MapMetrics {
+    /// Gaussians in all.
+    pub gaussians: Option<usize>,
+    /// Those labelled dynamic.
+    pub dynamic: Option<usize>,
+}
+
+/// Durations of one stage.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct StageTiming {
+    /// Half of the calls were faster, milliseconds.
+    pub median_ms: f64,
+    /// 95 of 100 calls were faster, milliseconds.
+    pub p95_ms: f64,
+    /// How often it ran.
+    pub calls: usize,
+}
+
+impl Metrics {
+    /// Nothing judged yet.
+    #[must_use]
+    pub fn new(version: &str, dataset: &str) -> Self {
+        Self {
+            schema: SCHEMA,
+            version: version.to_owned(),
+            dataset: dataset.to_owned(),
+            ..Self::default()
+        }
+    }
+
+    /// The text of `metrics.json`, two spaces of indentation, ending in a newline.
+    ///
+    /// JSON has no NaN and no infinity: they become `null`, as everything that cannot be judged.
+    #[must_use]
+    pub fn to_json(&self) -> String {
+        let text = serde_json::to_string_pretty(self);
+        text.expect("text keys and plain numbers: nothing that JSON cannot hold") + "\n"
+    }
+
+    /// Reads what [`Metrics::to_json`] wrote.
+    ///
+    /// # Errors
+    /// serde's, with line and column.
+    pub fn from_json(text: &str) -> Result<Self, serde_json::Error> {
+        serde_json::from_str(text)
+    }
+}
+
+impl From<&Ate> for AteMetrics {
+    fn from(ate: &Ate) -> Self {
+        Self {
+            rmse_m: Some(ate.stats.rmse),
+            mean_m: Some(ate.stats.mean),
+            median_m: Some(ate.stats.median),
+            std_m: Some(ate.stats.std),
+            max_m: Some(ate.stats.max),
+            pairs: Some(ate.stats.pairs),
+        }
+    }
+}
+
+impl From<&Rpe> for RpeMetrics {
+    /// Meant for steps of 1 s, the default of [`crate::RpeOptions`].
+    fn from(rpe: &Rpe) -> Self {
+        Self {
+            trans_rmse_m_per_s: Some(rpe.trans_m.rmse),
+            rot_rmse_deg_per_s: Some(rpe.rot_deg.rmse),
+        }
+    }
+}
+
+impl From<&Confusion> for KeypointLabels {
+    fn from(counts: &Confusion) -> Self {
+        Self {
+            precision: counts.precision(),
+            recall: counts.recall(),
+            f1: counts.f1(),
+        }
+    }
+}
+
+impl From<&Confusion> for PixelLabels {
+    fn from(counts: &Confusion) -> Self {
+        Self {
+            precision: counts.precision(),
+            recall: counts.recall(),
+            f1: counts.f1(),
+            iou: counts.iou(),
+        }
+    }
+}
+
+impl StageTiming {
+    /// Summary of all durations of a stage, in milliseconds; `None` if it never ran.
+    ///
+    /// median: mean of the two middle values for an even count. p95: the smallest duration that
+    /// at least 95 % of the calls do not exceed (nearest rank).
+    #[must_use]
+    pub fn of(durations_ms: &[f64]) -> Option<Self> {
+        let calls = durations_ms.len();
+        let mut sorted = durations_ms.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let rank = (calls * 95).div_ceil(100);
+        Some(Self {
+            median_ms: 0.5 * (sorted.get(calls.checked_sub(1)? / 2)? + sorted[calls / 2]),
+            p95_ms: sorted[rank - 1],
+            calls,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::Value;
+
+    /// Every path to a leaf, in the order of the text.
+    fn leaves(prefix: &str, value: &Value, out: &mut Vec<String>) {
+        match value {
+            Value::Object(map) => {
+                for (key, value) in map {
+                    leaves(&format!("{prefix}.{key}"), value, out);
+                }
+            }
+            _ => out.push(prefix.trim_start_matches('.').to_owned()),
+        }
+    }
+
+    #[test]
+    fn the_keys_stay() {
+        let mut metrics = Metrics::new("0.1.0", "demo");
+        let timing = StageTiming::of(&[3.0, 1.0]).expect("two calls");
+        metrics.timing.insert("track".to_owned(), timing);
+        let value: Value = serde_json::from_str(&metrics.to_json()).expect("valid JSON");
+        let mut found = Vec::new();
+        leaves("", &value, &mut found);
+        found.sort();
+        let mut expected: Vec<&str> = "schema version dataset frames tracked threads \
+            ate.rmse_m ate.mean_m ate.median_m ate.std_m ate.max_m ate.pairs \
+            rpe.trans_rmse_m_per_s rpe.rot_rmse_deg_per_s \
+            render.psnr_db render.ssim render_static.psnr_db render_static.ssim \
+            labels.keypoints.precision labels.keypoints.recall labels.keypoints.f1 \
+            labels.pixels.precision labels.pixels.recall labels.pixels.f1 labels.pixels.iou \
+            map.gaussians map.dynamic \
+            timing.track.median_ms timing.track.p95_ms timing.track.calls \
+            wall_s peak_rss_mb"
+            .split_whitespace()
+            .collect();
+        expected.sort_unstable();
+        assert_eq!(found, expected, "keys");
+        assert!(value["ate"]["rmse_m"].is_null(), "not judged is null");
+        assert_eq!(value["schema"], 1, "schema");
+        assert!(value["timing"]["track"]["calls"] == 2, "count");
+    }
+
+    #[test]
+    fn text_is_stable_and_reads_back() {
+        let mut metrics = Metrics::new("0.1.0", "café \"x\"");
+        metrics.ate.rmse_m = Some(0.022_131);
+        metrics
+            .timing
+            .insert("b".to_owned(), StageTiming::default());
+        metrics
+            .timing
+            .insert("a".to_owned(), StageTiming::default());
+        let text = metrics.to_json();
+        assert_eq!(
+            Metrics::from_json(&text).expect("own text"),
+            metrics,
+            "round trip"
+        );
+        let at = |key: &str| text.find(&format!("\"{key}\"")).expect("key");
+        assert!(
+            at("schema") < at("frames") && at("frames") < at("ate"),
+            "order of fields"
+        );
+        assert!(at("a") < at("b"), "stages by name");
+        metrics.render.psnr_db = Some(f64::INFINITY);
+        let back = Metrics::from_json(&metrics.to_json()).expect("own text");
+        assert_eq!(back.render.psnr_db, None, "no infinity in JSON");
+    }
+
+    #[test]
+    fn percentiles_by_hand() {
+        let hundred: Vec<f64> = (1..=100).rev().map(f64::from).collect();
+        let timing = StageTiming::of(&hundred).expect("100 calls");
+        let expected = StageTiming {
+            median_ms: 50.5,
+            p95_ms: 95.0,
+            calls: 100,
+        };
+        assert_eq!(timing, expected, "1..=100");
+        let one = StageTiming::of(&[7.0]).expect("one call");
+        assert!(
+            (one.median_ms - 7.0).abs() + (one.p95_ms - 7.0).abs() < 1e-15,
+            "{one:?}"
+        );
+        assert!(StageTiming::of(&[]).is_none(), "never ran");
+    }
+}
