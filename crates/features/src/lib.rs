@@ -1,1 +1,19 @@
-//! FAST, ORB, Hamming matching, pyramidal Lucas-Kanade and two-view geometry
+//! FAST, ORB, Hamming matching, pyramidal Lucas-Kanade and two-view geometry.
+//!
+//! Pictures in, points and correspondences out; nothing here knows of maps or Gaussians.
+//! Reading order: [`fast9`] (corners) → [`orb`] (spread over the picture, turned, described) →
+//! [`descriptor`], [`matching`] (which point is which).
+//!
+//! Everything up to sub-pixel tracking is integer arithmetic with the definitions of OpenCV and
+//! ORB-SLAM3, so that a port can be compared bit by bit.
+
+pub mod descriptor;
+pub mod error;
+pub mod fast9;
+pub mod matching;
+pub mod orb;
+
+pub use descriptor::Descriptor;
+pub use error::FeatureError;
+pub use matching::{Match, MatchConfig};
+pub use orb::{Features, Keypoint, OrbConfig, OrbExtractor};

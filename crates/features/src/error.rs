@@ -1,0 +1,51 @@
+//! What can be wrong with the input of this crate.
+
+use thiserror::Error;
+
+/// Input this crate cannot work with.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum FeatureError {
+    /// A setting outside its range.
+    #[error("{setting} is {value}; expected {expected}")]
+    BadSetting {
+        /// Its name.
+        setting: &'static str,
+        /// Its value.
+        value: f64,
+        /// What it may be.
+        expected: &'static str,
+    },
+    /// A picture without pixels.
+    #[error("the picture is {width} x {height}; expected at least one pixel")]
+    EmptyImage {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+    },
+    /// Two pictures, pyramids or lists that belong together but differ in size.
+    #[error("{what} differ: {left:?} and {right:?}")]
+    SizeMismatch {
+        /// What was compared.
+        what: &'static str,
+        /// One size.
+        left: (usize, usize),
+        /// The other.
+        right: (usize, usize),
+    },
+    /// Fewer correspondences than the method needs.
+    #[error("{got} correspondences; expected at least {needed}")]
+    TooFewPoints {
+        /// How many came.
+        got: usize,
+        /// How many are needed.
+        needed: usize,
+    },
+    /// Points that leave the answer open (all equal, all on a line, no parallax, NaN).
+    #[error("degenerate input: {reason}")]
+    Degenerate {
+        /// What about it.
+        reason: &'static str,
+    },
+}

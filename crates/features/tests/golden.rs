@@ -1,0 +1,142 @@
+//! The committed cases of this crate's stages: truth from OpenCV, numpy and mpmath.
+
+use garad_core::{GrayImage, Par};
+use garad_features::fast9::{self, Window};
+use garad_features::matching::nearest;
+use garad_features::orb::{blur, orientation};
+use garad_features::{Descriptor, MatchConfig, OrbConfig, OrbExtractor};
+use garad_golden::{Case, Tensor};
+
+fn gray(tensor: &Tensor) -> GrayImage {
+    let &[height, width] = tensor.shape() else {
+        panic!("an image has two axes, not {:?}", tensor.shape());
+    };
+    GrayImage::from_vec(width, height, tensor.u8()).expect("as many pixels as the shape says")
+}
+
+fn check(case: &Case, name: &str, got: impl IntoIterator<Item = impl Into<f64>>) {
+    let got: Vec<f64> = got.into_iter().map(Into::into).collect();
+    case.check(name, &got)
+        .unwrap_or_else(|report| panic!("{report}"));
+}
+
+fn has(case: &Case, name: &str) -> bool {
+    case.output_names().any(|output| output == name)
+}
+
+fn count(n: usize) -> u32 {
+    u32::try_from(n).expect("counts of test cases are small")
+}
+
+#[test]
+fn fast() {
+    for case in Case::load_all("fast") {
+        let image = gray(case.input("image"));
+        let threshold = u8::try_from(case.param_usize("threshold")).expect("a byte");
+        let corners = fast9::corners(&image, threshold, true);
+        check(
+            &case,
+            "xy",
+            corners.iter().flat_map(|c| [count(c.x), count(c.y)]),
+        );
+        check(&case, "score", corners.iter().map(|c| c.score));
+        let all = fast9::corners(&image, threshold, false);
+        check(&case, "count_without_nms", [count(all.len())]);
+        // The plain loops give the same scores.
+        let (mut slow, mut quick) = (GrayImage::default(), GrayImage::default());
+        fast9::reference::score_window(&image, threshold, Window::inside(&image), &mut slow);
+        fast9::fast::score_window(&image, threshold, Window::inside(&image), &mut quick);
+        assert_eq!(slow, quick, "{}: reference and fast", case.name());
+    }
+}
+
+/// What this crate adds to the pyramid: the blur before description, the derivatives of flow.
+#[test]
+fn pyramid_filters() {
+    for case in Case::load_all("pyramid") {
+        let image = gray(case.input("image"));
+        check(&case, "gauss7", blur::blur(&image).data().iter().copied());
+    }
+}
+
+#[test]
+fn orb() {
+    let mut kinds = [0; 2];
+    for case in Case::load_all("orb") {
+        if has(&case, "atan2") {
+            kinds[0] += 1;
+            let (y, x) = (case.input("y").f32(), case.input("x").f32());
+            let angles = y
+                .iter()
+                .zip(&x)
+                .map(|(&y, &x)| orientation::fast_atan2_deg(y, x));
+            check(&case, "atan2", angles);
+            continue;
+        }
+        kinds[1] += 1;
+        let config = OrbConfig {
+            features: case.param_usize("features"),
+            ..OrbConfig::default()
+        };
+        let mut extractor = OrbExtractor::new(config).expect("valid settings");
+        let image = gray(case.input("image"));
+        let found = extractor
+            .extract(&image, Par::Threads(2))
+            .expect("an image");
+        let keypoints = &found.keypoints;
+        check(&case, "level", keypoints.iter().map(|k| k.level));
+        check(&case, "pt", keypoints.iter().flat_map(|k| [k.x, k.y]));
+        check(&case, "response", keypoints.iter().map(|k| k.response));
+        check(&case, "angle", keypoints.iter().map(|k| k.angle_deg));
+        check(
+            &case,
+            "descriptor",
+            found.descriptors.iter().flat_map(Descriptor::to_bytes),
+        );
+    }
+    assert!(
+        kinds.iter().all(|&n| n > 0),
+        "both kinds of case are there: {kinds:?}"
+    );
+}
+
+fn descriptors(tensor: &Tensor) -> Vec<Descriptor> {
+    let bytes = tensor.u8();
+    bytes
+        .as_chunks::<32>()
+        .0
+        .iter()
+        .map(Descriptor::from_bytes)
+        .collect()
+}
+
+#[test]
+fn matching() {
+    for case in Case::load_all("matching") {
+        let (query, train) = (
+            descriptors(case.input("query")),
+            descriptors(case.input("train")),
+        );
+        let found: Vec<_> = nearest(&query, &train, Par::Threads(2))
+            .into_iter()
+            .map(|n| n.expect("train is not empty"))
+            .collect();
+        check(&case, "nearest", found.iter().map(|n| count(n.train)));
+        check(&case, "distance", found.iter().map(|n| n.distance));
+        check(&case, "second", found.iter().map(|n| n.second));
+        let mutual = MatchConfig {
+            max_distance: 256,
+            ratio: None,
+            mutual: true,
+        };
+        let matches =
+            garad_features::matching::match_descriptors(&query, &train, &mutual, Par::Seq);
+        check(
+            &case,
+            "mutual",
+            matches
+                .iter()
+                .flat_map(|m| [count(m.query), count(m.train)]),
+        );
+    }
+}
