@@ -6,6 +6,7 @@
 //! (the map) → [`par`] (threads that never change a result).
 
 pub mod camera;
+pub mod exp;
 pub mod gaussian;
 pub mod ids;
 pub mod image;

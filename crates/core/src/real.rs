@@ -67,6 +67,9 @@ pub trait Real:
     fn is_finite(self) -> bool;
     /// eˣ.
     fn exp(self) -> Self;
+    /// eˣ for x ≤ 0 where it is needed by the million: [`crate::exp::exp_nonpositive`] for f32,
+    /// plain [`Real::exp`] for f64.
+    fn exp_nonpositive(self) -> Self;
     /// Natural logarithm.
     fn ln(self) -> Self;
     /// (sin x, cos x), x in radians.
@@ -84,7 +87,7 @@ pub trait Real:
 }
 
 macro_rules! impl_real {
-    ($t:ty, $exp:path, $ln:path, $sincos:path, $tan:path, $atan2:path, $acos:path, $pow:path) => {
+    ($t:ty, $exp:path, $expnp:path, $ln:path, $sincos:path, $tan:path, $atan2:path, $acos:path, $pow:path) => {
         impl Real for $t {
             const ZERO: Self = 0.0;
             const ONE: Self = 1.0;
@@ -137,6 +140,10 @@ macro_rules! impl_real {
                 $exp(self)
             }
             #[inline]
+            fn exp_nonpositive(self) -> Self {
+                $expnp(self)
+            }
+            #[inline]
             fn ln(self) -> Self {
                 $ln(self)
             }
@@ -171,6 +178,7 @@ macro_rules! impl_real {
 impl_real!(
     f32,
     libm::expf,
+    crate::exp::exp_nonpositive,
     libm::logf,
     libm::sincosf,
     libm::tanf,
@@ -180,6 +188,7 @@ impl_real!(
 );
 impl_real!(
     f64,
+    libm::exp,
     libm::exp,
     libm::log,
     libm::sincos,
@@ -197,6 +206,10 @@ mod tests {
     fn spec<T: Real>(tolerance: f64) {
         let near = |a: T, b: f64| assert!((a.to_f64() - b).abs() <= tolerance, "{a} against {b}");
         near(T::from_f64(1.0).exp(), std::f64::consts::E);
+        near(
+            T::from_f64(-1.0).exp_nonpositive(),
+            0.367_879_441_171_442_33,
+        );
         near(T::from_f64(std::f64::consts::E).ln(), 1.0);
         near(T::from_f64(0.5).sin_cos().0, 0.479_425_538_604_203);
         near(T::from_f64(0.5).sin_cos().1, 0.877_582_561_890_372_8);
