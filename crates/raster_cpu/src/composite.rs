@@ -72,8 +72,9 @@ pub(crate) fn composite_tile<T: Real>(
     let (width, height) = (rect.x1 - rect.x0, rect.y1 - rect.y0);
     let mut pixels = vec![Pixel::new(); width * height];
     let mut open = pixels.len();
-    let [min_alpha, max_alpha, min_transmittance] =
-        [MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE].map(T::from_f64);
+    let columns: Vec<T> = (rect.x0..rect.x1).map(coordinate).collect();
+    let mut row_alpha = vec![T::ZERO; width];
+    let [min_alpha, min_transmittance] = [MIN_ALPHA, MIN_TRANSMITTANCE].map(T::from_f64);
 
     for (&position, rank) in list.iter().zip(1u32..) {
         if open == 0 {
@@ -85,15 +86,16 @@ pub(crate) fn composite_tile<T: Real>(
         };
         for y in reach.rows() {
             let dy = coordinate::<T>(y) - splat.mean_px[1];
-            let row = (y - rect.y0) * width;
-            for x in reach.columns(splat, dy) {
-                let pixel = &mut pixels[row + x - rect.x0];
-                if !pixel.open {
-                    continue;
-                }
-                let dx = coordinate::<T>(x) - splat.mean_px[0];
-                let alpha = max_alpha.min(splat.opacity * power(splat, dx, dy).exp());
-                if alpha < min_alpha {
+            let (first, end) = reach.columns(splat, dy);
+            if first >= end {
+                continue;
+            }
+            let part = first - rect.x0..end - rect.x0;
+            let alphas = &mut row_alpha[part.clone()];
+            alpha(splat, &columns[part.clone()], dy, alphas);
+            let row = &mut pixels[(y - rect.y0) * width..][part];
+            for (pixel, &alpha) in row.iter_mut().zip(alphas.iter()) {
+                if alpha < min_alpha || !pixel.open {
                     continue;
                 }
                 let left = pixel.transmittance * (T::ONE - alpha);
@@ -114,6 +116,16 @@ pub(crate) fn composite_tile<T: Real>(
         }
     }
     pixels
+}
+
+/// min(0.99, opacity e^power) at the pixels of a row whose columns are `xs` (R10).
+#[inline]
+fn alpha<T: Real>(splat: &Projected<T>, xs: &[T], dy: T, out: &mut [T]) {
+    let max_alpha = T::from_f64(MAX_ALPHA);
+    for (&x, alpha) in xs.iter().zip(out) {
+        let power = power(splat, x - splat.mean_px[0], dy);
+        *alpha = max_alpha.min(splat.opacity * power.exp_nonpositive());
+    }
 }
 
 /// An index as a coordinate; exact below [`crate::MAX_SIDE_PX`].
@@ -141,7 +153,7 @@ impl<T: Real> Reach<T> {
         let brightest = T::from_f64(255.0) * splat.opacity;
         // ln is taken of at least 1 minus the rounding of MIN_ALPHA.
         let k = T::from_f64(2.02) * brightest.ln() + T::from_f64(0.02);
-        if !(k > T::ZERO) {
+        if k <= T::ZERO {
             return None;
         }
         let half = k.sqrt() * splat.sigma_px[1];
@@ -160,21 +172,18 @@ impl<T: Real> Reach<T> {
         self.rect.y0..self.rect.y1
     }
 
-    /// The columns of the row at distance `dy` from the centre.
-    fn columns(&self, splat: &Projected<T>, dy: T) -> std::ops::Range<usize> {
+    /// First column, and the one after the last, of the row at distance `dy` from the centre.
+    fn columns(&self, splat: &Projected<T>, dy: T) -> (usize, usize) {
         let rest = (self.k - splat.inv_var_y * dy * dy).max(T::ZERO);
         let half = (rest / splat.conic[0]).sqrt();
         let (x0, x1) = interval(splat.mean_px[0] - splat.shear * dy, half);
-        self.rect.x0.max(x0)..self.rect.x1.min(x1)
+        (self.rect.x0.max(x0), self.rect.x1.min(x1))
     }
 }
 
-/// The pixels within `half` of `middle`, and one more on either side.
+/// The pixels within `half` of `middle`, and one or two more on either side.
 #[inline]
 fn interval<T: Real>(middle: T, half: T) -> (usize, usize) {
-    let one = T::ONE;
-    (
-        to_index((middle - half).floor() - one),
-        to_index((middle + half).ceil() + one + one),
-    )
+    let (one, two) = (T::ONE, T::from_f64(2.0));
+    (to_index(middle - half - one), to_index(middle + half + two))
 }

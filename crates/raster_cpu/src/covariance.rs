@@ -169,8 +169,8 @@ mod tests {
             let (sin, cos) = Real::sin_cos(f64::from(step) * std::f64::consts::PI / 180.0);
             for (long, thin) in [(20.0, 0.1), (80.0, 0.5), (80.0, 1.0)] {
                 let m32 = [
-                    [(cos * long) as f32, (-sin * thin) as f32, 0.0],
-                    [(sin * long) as f32, (cos * thin) as f32, 0.0],
+                    [cos * long, -sin * thin, 0.0].map(Real::to_f32),
+                    [sin * long, cos * thin, 0.0].map(Real::to_f32),
                 ];
                 let ours = covariance(&m32);
                 // The truth for exactly these entries.

@@ -97,10 +97,10 @@ pub(crate) fn project<T: Real>(
 
 /// One Gaussian, in the order of the formulas.
 fn project_one<T: Real>(map: &GaussianMap<T>, i: usize, view: &View<T>) -> Option<Projected<T>> {
-    // R1: p = R mean + t, (u, v) = (fx x/z + cx, fy y/z + cy). A NaN fails the comparison.
+    // R1: p = R mean + t, (u, v) = (fx x/z + cx, fy y/z + cy).
     let p_cam = camera_point(view, map.means[i]);
     let [x, y, z] = p_cam;
-    if !(z > T::from_f64(NEAR_M)) {
+    if !z.is_finite() || z <= T::from_f64(NEAR_M) {
         return None;
     }
     let mean_px = [
