@@ -177,9 +177,14 @@ mod tests {
 
     #[test]
     fn closest_difference() {
-        assert_eq!(closest_s(&[1.0, 5.0], &[0.0, 5.25, 9.0]), 0.25);
-        assert_eq!(closest_s(&[10.0], &[1.0, 2.0]), 8.0, "all earlier");
-        assert_eq!(closest_s(&[1.0], &[]), f64::INFINITY, "none");
+        let bits = |a: &[f64], b: &[f64]| closest_s(a, b).to_bits();
+        assert_eq!(
+            bits(&[1.0, 5.0], &[0.0, 5.25, 9.0]),
+            0.25f64.to_bits(),
+            "amid"
+        );
+        assert_eq!(bits(&[10.0], &[1.0, 2.0]), 8.0f64.to_bits(), "all earlier");
+        assert_eq!(bits(&[1.0], &[]), f64::INFINITY.to_bits(), "none");
     }
 
     /// Crowded lists: every pair lies in the window, ten thousand million of them.

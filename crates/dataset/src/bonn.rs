@@ -112,7 +112,7 @@ mod tests {
         // Half a turn about y swings the camera to twice its distance from that axis. The axis
         // is y of the body; A takes the camera's place on the body (x, y, z) to (-x, z, y).
         let [x, y, _] = BODY_FROM_CAMERA.1;
-        let lever = 2.0 * (x * x + y * y).sqrt();
+        let lever = 2.0 * nalgebra::Vector2::new(x, y).norm();
         assert!(
             (distance - lever).abs() < 1e-12,
             "{distance} against {lever}"

@@ -1,0 +1,7 @@
+//! Recordings, good and spoilt, in folders and archives.
+
+mod archives;
+mod fixture;
+mod folders;
+mod frames;
+mod images;
