@@ -59,6 +59,9 @@ pub enum EvalError {
     /// Every estimated position is the same: no scale maps it onto anything.
     #[error("scale is undetermined: all estimated positions coincide")]
     ScaleUndetermined,
+    /// The plotting library failed.
+    #[error("drawing a plot: {0}")]
+    Plot(String),
     /// An option that is not a positive finite number.
     #[error("{name} = {value}: expected a positive finite number")]
     Option {

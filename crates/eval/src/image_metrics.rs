@@ -245,7 +245,7 @@ pub fn depth_l1(
 ) -> Result<DepthL1, EvalError> {
     check_sizes(render, truth, excluded)?;
     let known = |z: f32| z.is_finite() && z > 0.0;
-    let (mut sum, mut pixels, mut with_truth) = (0.0, 0, 0);
+    let (mut sum, mut pixels, mut with_truth) = (0.0, 0usize, 0usize);
     for i in judged(truth.data().len(), excluded) {
         let (z, z_true) = (render.data()[i], truth.data()[i]);
         if known(z_true) {
@@ -260,9 +260,9 @@ pub fn depth_l1(
         return Err(no_pixels());
     }
     Ok(DepthL1 {
-        mean_m: sum / f64::from(pixels),
-        pixels: pixels as usize,
-        coverage: f64::from(pixels) / f64::from(with_truth),
+        mean_m: sum / pixels as f64,
+        pixels,
+        coverage: pixels as f64 / with_truth as f64,
     })
 }
 

@@ -14,6 +14,8 @@ pub mod error;
 pub mod image_metrics;
 pub mod labels;
 pub mod metrics;
+pub mod plot;
+pub mod report;
 pub mod rpe;
 pub mod stats;
 
@@ -26,5 +28,6 @@ pub use image_metrics::{
 };
 pub use labels::Confusion;
 pub use metrics::{Metrics, StageTiming};
+pub use report::{FrameState, ReportData, Strip};
 pub use rpe::{Rpe, RpeDelta, RpeOptions, rpe};
 pub use stats::Stats;

@@ -1,0 +1,172 @@
+//! Plots as SVG text: trajectories seen from two sides, error and tracking time over time.
+//!
+//! The text is a function of the numbers alone. Sizes are in CSS pixels at full width; inside,
+//! everything is drawn [`SCALE`] times larger, because the SVG backend places points on whole
+//! numbers. Colours are the same four roles everywhere and distinguishable for colour-blind
+//! readers; a page may repaint ink and grid for a dark background by their attribute values.
+
+mod over_time;
+mod trajectory;
+
+pub use over_time::{FrameTime, error_over_time, time_per_frame};
+pub use trajectory::{Plane, trajectory_panel, widest_planes};
+
+use plotters::coord::Shift;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use crate::EvalError;
+
+/// Drawing units per CSS pixel.
+const SCALE: i32 = 4;
+
+/// Text and axes.
+pub const INK: RGBColor = RGBColor(0x24, 0x29, 0x2f);
+/// Grid lines.
+pub const GRID: RGBColor = RGBColor(0xd8, 0xde, 0xe4);
+/// Ground truth.
+pub const TRUTH: RGBColor = RGBColor(0x8c, 0x95, 0x9f);
+/// The estimate, and small errors.
+pub const ESTIMATE: RGBColor = RGBColor(0x2a, 0x82, 0xc9);
+/// Large errors, lost stretches.
+pub const ALARM: RGBColor = RGBColor(0xe0, 0x6c, 0x1f);
+
+const FONT: &str = "system-ui, sans-serif";
+const TEXT_PX: i32 = 13;
+
+type Canvas<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+
+fn failed<E: std::fmt::Display>(error: E) -> EvalError {
+    EvalError::Plot(error.to_string())
+}
+
+/// Draws on a canvas of `width` x `height` CSS pixels; `label` is read out by screen readers.
+fn svg(
+    width: u32,
+    height: u32,
+    label: &str,
+    draw: impl FnOnce(&Canvas<'_>) -> Result<(), EvalError>,
+) -> Result<String, EvalError> {
+    let scale = SCALE.unsigned_abs();
+    let (units_x, units_y) = (width * scale, height * scale);
+    let mut text = String::new();
+    {
+        let canvas = SVGBackend::with_string(&mut text, (units_x, units_y)).into_drawing_area();
+        draw(&canvas)?;
+        canvas.present().map_err(failed)?;
+    }
+    // The page decides the size; the view box keeps the shape.
+    let fixed_size = format!("width=\"{units_x}\" height=\"{units_y}\"");
+    let label = crate::report::escape(label);
+    let flexible = format!("class=\"plot\" role=\"img\" aria-label=\"{label}\" width=\"{width}\"");
+    Ok(text.replacen(&fixed_size, &flexible, 1))
+}
+
+fn font(px: i32, color: &RGBColor) -> TextStyle<'static> {
+    (FONT, px * SCALE).into_font().color(color)
+}
+
+/// An entry of the legend above a plot.
+enum Key {
+    Line(RGBColor),
+    Dot(RGBColor),
+    Ring(RGBColor),
+    Band(RGBColor),
+}
+
+/// One row of keys from left to right, centred on `y` (CSS pixels), so that nothing covers data.
+fn legend(canvas: &Canvas<'_>, x: i32, y: i32, keys: &[(Key, String)]) -> Result<(), EvalError> {
+    let (mut x, y) = (x * SCALE, y * SCALE);
+    let sample = 20 * SCALE;
+    let style = font(TEXT_PX, &INK).pos(Pos::new(HPos::Left, VPos::Center));
+    for (key, text) in keys {
+        let (middle, half) = (x + sample / 2, 5 * SCALE);
+        match key {
+            Key::Line(color) => {
+                let line = PathElement::new([(x, y), (x + sample, y)], stroke(color, 3));
+                canvas.draw(&line)
+            }
+            Key::Dot(color) => canvas.draw(&Circle::new((middle, y), 4 * SCALE, color.filled())),
+            Key::Ring(color) => canvas.draw(&Circle::new((middle, y), 6 * SCALE, stroke(color, 3))),
+            Key::Band(color) => {
+                let corners = [(x, y - half), (x + sample, y + half)];
+                canvas.draw(&Rectangle::new(corners, color.mix(BAND_OPACITY).filled()))
+            }
+        }
+        .map_err(failed)?;
+        x += sample + 6 * SCALE;
+        canvas.draw_text(text, &style, (x, y)).map_err(failed)?;
+        // Without font files a width is a guess: wide letters, so that keys never touch.
+        let letters = i32::try_from(text.chars().count()).unwrap_or(0);
+        x += letters * TEXT_PX * SCALE * 58 / 100 + 18 * SCALE;
+    }
+    Ok(())
+}
+
+const BAND_OPACITY: f64 = 0.22;
+
+fn stroke(color: &RGBColor, half_px: u32) -> ShapeStyle {
+    color.stroke_width(half_px * SCALE.unsigned_abs() / 2)
+}
+
+/// A length unit that leaves numbers between 1 and 1000: (name, units per metre).
+fn length_unit(largest_m: f64) -> (&'static str, f64) {
+    match largest_m {
+        m if m < 0.01 => ("mm", 1000.0),
+        m if m < 1.0 => ("cm", 100.0),
+        _ => ("m", 1.0),
+    }
+}
+
+/// Tick labels with as many digits as a range of this length needs.
+fn tick_format(range: f64) -> impl Fn(&f64) -> String {
+    let digits = match range {
+        r if r >= 8.0 => 0,
+        r if r >= 0.8 => 1,
+        r if r >= 0.08 => 2,
+        _ => 3,
+    };
+    move |value: &f64| {
+        let text = format!("{value:.digits$}");
+        // "-0.0" is 0 with a rounding error.
+        match text.strip_prefix('-') {
+            Some(positive) if positive.chars().all(|c| c == '0' || c == '.') => positive.to_owned(),
+            _ => text,
+        }
+    }
+}
+
+/// Number of ticks for an axis of this many CSS pixels.
+fn ticks(px: u32) -> usize {
+    (px / 70).clamp(3, 12) as usize
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_and_ticks_read_well() {
+        assert_eq!(length_unit(0.005).0, "mm", "5 mm");
+        assert_eq!(length_unit(0.07).0, "cm", "7 cm");
+        assert_eq!(length_unit(1.2).0, "m", "1.2 m");
+        assert_eq!(tick_format(3.0)(&-1e-17), "0.0", "no negative zero");
+        assert_eq!(tick_format(3.0)(&-0.5), "-0.5", "negative");
+        assert_eq!(tick_format(20.0)(&15.0), "15", "whole");
+    }
+
+    #[test]
+    fn svg_has_a_view_box_and_an_escaped_label() {
+        let text = svg(100, 50, "a < \"b\"", |_| Ok(())).expect("an empty canvas");
+        let head = text.lines().next().expect("a first line");
+        assert!(head.contains("viewBox=\"0 0 400 200\""), "{head}");
+        assert!(
+            head.contains("aria-label=\"a &lt; &quot;b&quot;\""),
+            "{head}"
+        );
+        assert!(
+            head.contains("width=\"100\"") && !head.contains("height="),
+            "{head}"
+        );
+    }
+}

@@ -1,0 +1,118 @@
+//! Trajectory, error, tracking state and tracking time.
+
+use std::ops::Range;
+
+use super::{FrameState, ReportData, note, section, start_s};
+use crate::EvalError;
+use crate::plot::{FrameTime, error_over_time, time_per_frame, trajectory_panel, widest_planes};
+
+/// Two views of the trajectory and the error over time.
+pub(super) fn trajectory(data: &ReportData<'_>) -> String {
+    let Some(ate) = data.ate else {
+        let reason = match data.not_judged {
+            "" => "The trajectory cannot be judged.".to_owned(),
+            reason => format!("The trajectory cannot be judged: {reason}."),
+        };
+        return section("Trajectory", &note(&reason));
+    };
+    let keyframes: Vec<f64> = data
+        .frames
+        .iter()
+        .filter(|frame| frame.keyframe)
+        .map(|frame| frame.t_s)
+        .collect();
+    let panels = widest_planes(&ate.points)
+        .map(|plane| shown(trajectory_panel(&ate.points, plane, &keyframes)));
+    let error = shown(error_over_time(
+        &ate.points,
+        start_s(data),
+        &lost_stretches(data.frames),
+    ));
+    let body = format!(
+        "<div class=\"pair\">{}</div>\n<div class=\"wide\">{error}</div>\n",
+        panels.concat()
+    );
+    section("Trajectory", &body)
+}
+
+/// Ribbon of tracked and lost frames, and the time each took.
+pub(super) fn tracking(data: &ReportData<'_>) -> String {
+    if data.frames.is_empty() {
+        return String::new();
+    }
+    let times: Vec<FrameTime> = data
+        .frames
+        .iter()
+        .filter_map(|frame| {
+            Some(FrameTime {
+                t_s: frame.t_s,
+                ms: frame.track_ms?,
+                keyframe: frame.keyframe,
+            })
+        })
+        .collect();
+    let plot = if times.is_empty() {
+        String::new()
+    } else {
+        let budget = usual_interval_s(data.frames).map(|s| 1000.0 * s);
+        let plot = shown(time_per_frame(&times, start_s(data), budget));
+        format!("<div class=\"wide\">{plot}</div>\n")
+    };
+    section("Tracking", &(ribbon(data.frames) + &plot))
+}
+
+fn shown(plot: Result<String, EvalError>) -> String {
+    plot.unwrap_or_else(|error| note(&format!("No plot: {error}.")))
+}
+
+/// From the first frame without a pose to the first with one again.
+fn lost_stretches(frames: &[FrameState]) -> Vec<Range<f64>> {
+    let mut stretches = Vec::new();
+    let mut since = None;
+    for frame in frames {
+        match (frame.tracked, since) {
+            (false, None) => since = Some(frame.t_s),
+            (true, Some(start)) => {
+                stretches.push(start..frame.t_s);
+                since = None;
+            }
+            _ => {}
+        }
+    }
+    if let (Some(start), Some(last)) = (since, frames.last()) {
+        stretches.push(start..last.t_s);
+    }
+    stretches
+}
+
+fn usual_interval_s(frames: &[FrameState]) -> Option<f64> {
+    let mut steps: Vec<f64> = frames.windows(2).map(|w| w[1].t_s - w[0].t_s).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.get(steps.len() / 2).copied()
+}
+
+/// One bar per run of equal state, keyframes as ticks below; each frame has the same width.
+fn ribbon(frames: &[FrameState]) -> String {
+    let n = frames.len();
+    let share = |count: usize| 100.0 * count as f64 / n as f64;
+    let mut bars = String::new();
+    for run in frames.chunk_by(|a, b| a.tracked == b.tracked) {
+        let state = if run[0].tracked { "tracked" } else { "lost" };
+        let width = share(run.len());
+        let title = format!("{state}: {} frames", run.len());
+        bars += &format!("<i class=\"{state}\" style=\"width:{width:.3}%\" title=\"{title}\"></i>");
+    }
+    let ticks: String = (0..n)
+        .filter(|&i| frames[i].keyframe)
+        .map(|i| format!("<i style=\"left:{:.3}%\"></i>", share(i)))
+        .collect();
+    let count = |f: fn(&FrameState) -> bool| frames.iter().filter(|frame| f(frame)).count();
+    let (lost, keyframes) = (count(|f| !f.tracked), count(|f| f.keyframe));
+    format!(
+        "<div class=\"ribbon\">{bars}</div><div class=\"ticks\">{ticks}</div>\n\
+         <p class=\"key\"><span><i class=\"tracked\"></i>tracked: {}</span>\
+         <span><i class=\"lost\"></i>lost: {lost}</span>\
+         <span><i class=\"tick\"></i>keyframes: {keyframes}</span></p>\n",
+        n - lost
+    )
+}
