@@ -1,0 +1,196 @@
+//! Who moves in which scene, and how the room is furnished for it.
+
+use garad_core::Rng;
+
+use crate::actor::{Actor, Role};
+use crate::camera_path::IN_STEP;
+use crate::clothes::Cloth;
+use crate::config::SceneName;
+use crate::course::{Course, Schedule};
+use crate::figure::{Arms, Figure};
+use crate::room::Furnishing;
+
+/// Direction across the view of the scenes that look from the corner, radians.
+const ACROSS_RAD: f64 = 2.2;
+
+/// The furniture of a scene.
+pub(crate) fn furnishing(name: SceneName) -> Furnishing {
+    Furnishing {
+        plain_walls: name == SceneName::Crowd,
+        middle_table: matches!(name, SceneName::QuietDesk | SceneName::Loop),
+    }
+}
+
+/// The movers of a scene. Object ids are 1, 2, ... in this order.
+pub(crate) fn actors(name: SceneName, seed: u64) -> Vec<Actor> {
+    let mut rng = Rng::keyed(seed, &[0xAC]);
+    let mut cast = Cast {
+        roles: Vec::new(),
+        rng: &mut rng,
+    };
+    match name {
+        SceneName::QuietDesk | SceneName::Loop => {}
+        SceneName::Walking => {
+            cast.carrier(
+                0,
+                Course::ellipse([0.05, 0.02], [1.10, 0.22], ACROSS_RAD, 0.80, 2.3),
+            );
+            cast.person(
+                1,
+                Arms::Swing,
+                Course::ellipse([0.98, 0.08], [0.72, 0.22], ACROSS_RAD, 1.05, 5.6),
+            );
+        }
+        SceneName::Crowd => {
+            cast.person(
+                2,
+                Arms::Swing,
+                Course::ellipse([-0.66, -0.44], [0.50, 0.12], ACROSS_RAD, 1.0, 1.0),
+            );
+            cast.person(
+                0,
+                Arms::Swing,
+                Course::ellipse([-0.28, -0.10], [0.62, 0.12], ACROSS_RAD, 0.85, 3.4),
+            );
+            cast.person(1, Arms::Gesture, Course::spot([-0.20, 0.62], -1.9));
+            cast.person(3, Arms::Gesture, Course::spot([0.62, -0.40], 2.7));
+        }
+        SceneName::StopAndGo => {
+            let turn = ACROSS_RAD + 0.25;
+            let schedule = |first_s, go_s, stop_s| Schedule::StopAndGo {
+                first_s,
+                go_s,
+                stop_s,
+            };
+            let course = Course::ellipse([0.25, -0.10], [0.85, 0.0], turn, 0.75, 2.9);
+            cast.roles.push(Role::Trolley {
+                course: course.with_schedule(schedule(1.2, 2.2, 1.6)),
+                heading_rad: turn,
+                seed: 71,
+            });
+            let course = Course::ellipse([-0.35, -0.45], [0.55, 0.0], turn, 1.1, 0.2);
+            cast.roles.push(Role::Ball {
+                course: course.with_schedule(schedule(2.4, 1.8, 2.0)),
+                heading_rad: turn,
+                radius: 0.12,
+                seed: 72,
+            });
+            let course = Course::ellipse([1.10, 0.20], [0.62, 0.20], ACROSS_RAD, 1.2, 4.4);
+            cast.person(
+                1,
+                Arms::Swing,
+                course.with_schedule(schedule(0.5, 2.6, 1.4)),
+            );
+        }
+        SceneName::InStep => {
+            let (reach, rate) = IN_STEP;
+            let beside = |dx: f64, y: f64| {
+                Course::ellipse(
+                    [dx, y],
+                    [reach, 0.10],
+                    0.0,
+                    rate,
+                    -std::f64::consts::FRAC_PI_2,
+                )
+            };
+            cast.person(0, Arms::Swing, beside(-0.36, 0.10));
+            cast.person(3, Arms::Swing, beside(0.42, 0.38));
+        }
+    }
+    let number = |(k, role): (usize, Role)| Actor {
+        object: u8::try_from(k + 1).unwrap_or(u8::MAX),
+        role,
+    };
+    cast.roles.into_iter().enumerate().map(number).collect()
+}
+
+struct Cast<'a> {
+    roles: Vec<Role>,
+    rng: &'a mut Rng,
+}
+
+impl Cast<'_> {
+    fn person(&mut self, who: usize, arms: Arms, course: Course) {
+        let figure = self.dress(who, arms);
+        self.roles.push(Role::Person { figure, course });
+    }
+
+    fn carrier(&mut self, who: usize, course: Course) {
+        let figure = self.dress(who, Arms::Carry);
+        self.roles.push(Role::Person {
+            figure,
+            course: course.clone(),
+        });
+        self.roles.push(Role::Load {
+            figure,
+            course,
+            seed: figure.seed ^ 0x10AD,
+        });
+    }
+
+    /// One of four people; the seed changes the weave and the height by a few centimetres.
+    fn dress(&mut self, who: usize, arms: Arms) -> Figure {
+        let plain = Figure {
+            height_m: 1.75 + self.rng.range(-0.04, 0.04),
+            shirt: Cloth::Plain([0.3; 3]),
+            trousers: Cloth::Denim,
+            skin: [0.80, 0.60, 0.48],
+            hair: [0.22, 0.15, 0.10],
+            long_hair: false,
+            short_sleeves: false,
+            skirt: false,
+            backpack: false,
+            arms,
+            seed: (self.rng.next_u64() >> 40) as u32,
+        };
+        match who {
+            0 => Figure {
+                shirt: Cloth::Checked([0.62, 0.16, 0.14], [0.16, 0.15, 0.20]),
+                ..plain
+            },
+            1 => Figure {
+                height_m: plain.height_m - 0.07,
+                shirt: Cloth::Striped([0.86, 0.84, 0.78], [0.16, 0.26, 0.44]),
+                trousers: Cloth::Strewn([0.20, 0.30, 0.28], [0.85, 0.55, 0.35]),
+                skin: [0.86, 0.68, 0.56],
+                hair: [0.52, 0.33, 0.16],
+                long_hair: true,
+                skirt: true,
+                ..plain
+            },
+            2 => Figure {
+                height_m: plain.height_m + 0.05,
+                shirt: Cloth::Printed([0.25, 0.42, 0.32], [0.92, 0.90, 0.82]),
+                skin: [0.48, 0.32, 0.24],
+                hair: [0.10, 0.09, 0.08],
+                short_sleeves: true,
+                backpack: true,
+                ..plain
+            },
+            _ => Figure {
+                height_m: plain.height_m - 0.02,
+                shirt: Cloth::Strewn([0.78, 0.66, 0.34], [0.55, 0.18, 0.30]),
+                trousers: Cloth::Plain([0.26, 0.24, 0.24]),
+                hair: [0.55, 0.53, 0.50],
+                ..plain
+            },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_count_from_one_and_quiet_scenes_are_empty() {
+        for name in SceneName::all() {
+            let actors = actors(name, 1);
+            let quiet = matches!(name, SceneName::QuietDesk | SceneName::Loop);
+            assert_eq!(actors.is_empty(), quiet, "{name}");
+            for (k, actor) in actors.iter().enumerate() {
+                assert_eq!(usize::from(actor.object), k + 1, "{name}");
+            }
+        }
+    }
+}

@@ -1,0 +1,256 @@
+//! What to make: [`SceneConfig`], [`SceneName`], and what can be wrong with them.
+
+use std::fmt;
+use std::str::FromStr;
+
+use garad_core::CameraError;
+use thiserror::Error;
+
+/// The scenes. Each is one room, one camera path and a cast of movers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+pub enum SceneName {
+    /// Nothing moves; the camera swings around a cluttered desk.
+    QuietDesk,
+    /// Two people cross the room 2 to 3 m away, one of them carries a box.
+    #[default]
+    Walking,
+    /// Four people 1 to 2 m away cover up to 70 % of the picture; the walls are plain.
+    Crowd,
+    /// A trolley, a ball and a person stand still, start, stop and start again.
+    StopAndGo,
+    /// Two people walk beside the camera at its own speed: in the picture they stand still
+    /// and the room moves.
+    InStep,
+    /// Nothing moves; the camera goes round the room, 10 m a lap.
+    Loop,
+}
+
+impl SceneName {
+    /// Every scene, in the order of the documentation.
+    #[must_use]
+    pub fn all() -> [Self; 6] {
+        [
+            Self::QuietDesk,
+            Self::Walking,
+            Self::Crowd,
+            Self::StopAndGo,
+            Self::InStep,
+            Self::Loop,
+        ]
+    }
+
+    /// The name on the command line.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::QuietDesk => "quiet_desk",
+            Self::Walking => "walking",
+            Self::Crowd => "crowd",
+            Self::StopAndGo => "stop_and_go",
+            Self::InStep => "in_step",
+            Self::Loop => "loop",
+        }
+    }
+}
+
+impl fmt::Display for SceneName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+impl FromStr for SceneName {
+    type Err = SynthError;
+
+    /// Takes `-` for `_`.
+    fn from_str(name: &str) -> Result<Self, SynthError> {
+        let wanted = name.replace('-', "_");
+        Self::all()
+            .into_iter()
+            .find(|scene| scene.as_str() == wanted)
+            .ok_or_else(|| SynthError::UnknownScene {
+                name: name.to_owned(),
+            })
+    }
+}
+
+/// What to make.
+///
+/// # Example
+/// ```
+/// use garad_synth::{SceneConfig, SceneName};
+/// let config = SceneConfig { frames: 30, noise: true, ..SceneConfig::new(SceneName::Crowd) };
+/// assert_eq!((config.width, config.height), (640, 480));
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneConfig {
+    /// Which scene.
+    pub name: SceneName,
+    /// How many frames the recording has.
+    pub frames: usize,
+    /// Columns; the focal length is 525/640 of it.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Frames per second. Motion is a function of time: more frames per second mean smaller steps.
+    pub fps: f64,
+    /// Textures, clothes, phases of the hand's tremor, sensor noise.
+    pub seed: u64,
+    /// Depth and colour as a Kinect would see them instead of exact ones; see [`crate::noise`].
+    pub noise: bool,
+    /// The same recording without movers.
+    pub static_twin: bool,
+    /// 1: one colour sample a pixel. 2: five, at the centre and the corners, where the corners are
+    /// shared with the neighbours (twice the work). Depth, mask and ids are always of the centre.
+    pub supersample: usize,
+}
+
+impl SceneConfig {
+    /// 150 frames of 640x480 at 30 Hz, exact, with movers.
+    #[must_use]
+    pub fn new(name: SceneName) -> Self {
+        Self {
+            name,
+            frames: 150,
+            width: 640,
+            height: 480,
+            fps: 30.0,
+            seed: 1,
+            noise: false,
+            static_twin: false,
+            supersample: 2,
+        }
+    }
+
+    pub(crate) fn validate(&self) -> Result<(), SynthError> {
+        let side = 8..=8192;
+        if !side.contains(&self.width) || !side.contains(&self.height) {
+            return Err(SynthError::Size {
+                width: self.width,
+                height: self.height,
+            });
+        }
+        if self.frames == 0 {
+            return Err(SynthError::NoFrames);
+        }
+        if !(self.fps > 0.0 && self.fps.is_finite()) {
+            return Err(SynthError::Fps { fps: self.fps });
+        }
+        if !(1..=2).contains(&self.supersample) {
+            return Err(SynthError::Supersample {
+                supersample: self.supersample,
+            });
+        }
+        Ok(())
+    }
+}
+
+impl Default for SceneConfig {
+    fn default() -> Self {
+        Self::new(SceneName::default())
+    }
+}
+
+/// What is wrong with a [`SceneConfig`].
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum SynthError {
+    /// No such scene.
+    #[error(
+        "no scene is called '{name}'; there are quiet_desk, walking, crowd, stop_and_go, in_step, loop"
+    )]
+    UnknownScene {
+        /// What was asked for.
+        name: String,
+    },
+    /// A picture too small or too large.
+    #[error("picture of {width}x{height}; expected 8 to 8192 pixels a side")]
+    Size {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+    },
+    /// A recording without frames.
+    #[error("0 frames; expected at least 1")]
+    NoFrames,
+    /// A frame rate that is not a positive number.
+    #[error("{fps} frames per second; expected a positive number")]
+    Fps {
+        /// Its value.
+        fps: f64,
+    },
+    /// Neither 1 nor 2.
+    #[error("supersample {supersample}; expected 1 or 2")]
+    Supersample {
+        /// Its value.
+        supersample: usize,
+    },
+    /// The camera that follows from the size is not one.
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_back() {
+        for name in SceneName::all() {
+            assert_eq!(name.to_string().parse(), Ok(name), "{name}");
+        }
+        assert_eq!("stop-and-go".parse(), Ok(SceneName::StopAndGo), "hyphens");
+        let error = "ballroom".parse::<SceneName>().expect_err("no such scene");
+        assert!(error.to_string().contains("'ballroom'"), "{error}");
+    }
+
+    #[test]
+    fn each_bad_number_is_named() {
+        let good = SceneConfig::default();
+        assert_eq!(good.validate(), Ok(()), "the default");
+        let bad = [
+            SceneConfig {
+                width: 7,
+                ..good.clone()
+            },
+            SceneConfig {
+                height: 8193,
+                ..good.clone()
+            },
+            SceneConfig {
+                frames: 0,
+                ..good.clone()
+            },
+            SceneConfig {
+                fps: 0.0,
+                ..good.clone()
+            },
+            SceneConfig {
+                fps: f64::NAN,
+                ..good.clone()
+            },
+            SceneConfig {
+                supersample: 3,
+                ..good.clone()
+            },
+            SceneConfig {
+                supersample: 0,
+                ..good
+            },
+        ];
+        let words = [
+            "7x480",
+            "640x8193",
+            "0 frames",
+            "0 frames per",
+            "NaN",
+            "sample 3",
+            "sample 0",
+        ];
+        for (config, word) in bad.iter().zip(words) {
+            let error = config.validate().expect_err(word).to_string();
+            assert!(error.contains(word), "{error}");
+        }
+    }
+}

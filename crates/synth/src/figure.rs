@@ -1,0 +1,419 @@
+//! [`Figure`]: a person of round solids, and the walk that moves them.
+//!
+//! Frame of a figure: x forward, y left, z up, the origin on the floor between the feet. A stride is
+//! one cycle of the gait: each foot stands still on the floor for [`STANCE`] of it and swings
+//! forward for the rest, half a cycle after the other. Hips move on evenly, so a standing foot moves
+//! back in the figure's frame exactly as fast as the figure moves forward, and does not slide. Knees
+//! follow from hip and ankle (two bones of fixed length). Every part is rigid.
+
+use std::f64::consts::{PI, TAU};
+
+use garad_core::{Se3, So3};
+use nalgebra::Vector3;
+
+use crate::clothes::Cloth;
+use crate::material::Material;
+use crate::pattern::Rgb;
+use crate::shape::Shape;
+use crate::solid::rotation_along;
+
+/// Share of the cycle in which a foot stands.
+const STANCE: f64 = 0.6;
+/// A standing foot travels from this far before the hip to as far behind it, metres.
+const HALF_STEP_M: f64 = 0.28;
+/// Way gone in one cycle, metres.
+pub(crate) const STRIDE_M: f64 = 2.0 * HALF_STEP_M / STANCE;
+const HIP_M: f64 = 0.87;
+const ANKLE_M: f64 = 0.08;
+const BONE_M: f64 = 0.43;
+const UPPER_ARM_M: f64 = 0.28;
+const FOREARM_M: f64 = 0.25;
+
+/// What the arms do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Arms {
+    /// Swing against the legs.
+    Swing,
+    /// Hold a box before the chest.
+    Carry,
+    /// Talk with the hands.
+    Gesture,
+}
+
+/// Looks of a person.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Figure {
+    pub(crate) height_m: f64,
+    pub(crate) shirt: Cloth,
+    pub(crate) trousers: Cloth,
+    pub(crate) skin: Rgb,
+    pub(crate) hair: Rgb,
+    pub(crate) long_hair: bool,
+    pub(crate) short_sleeves: bool,
+    pub(crate) skirt: bool,
+    pub(crate) backpack: bool,
+    pub(crate) arms: Arms,
+    pub(crate) seed: u32,
+}
+
+/// One rigid part.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Part {
+    pub(crate) shape: Shape,
+    pub(crate) material: Material,
+    pub(crate) figure_from_part: Se3,
+}
+
+/// Where in the walk a figure is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Step {
+    /// Way gone, metres.
+    pub(crate) gone_m: f64,
+    /// For what moves without walking, seconds.
+    pub(crate) t_s: f64,
+    /// 0: arms and hips at rest. 1: full swing.
+    pub(crate) pace: f64,
+}
+
+/// The box that [`Arms::Carry`] holds: its middle and half extents.
+pub(crate) const LOAD: ([f64; 3], [f64; 3]) = ([0.36, 0.0, 1.10], [0.13, 0.19, 0.14]);
+
+/// Collects parts in units of a figure 1.75 m tall.
+struct Body {
+    k: f64,
+    parts: Vec<Part>,
+}
+
+impl Body {
+    fn ellipsoid(&mut self, at: Vector3<f64>, rotation: So3, radii: [f64; 3], material: Material) {
+        let shape = Shape::Ellipsoid {
+            radii: Vector3::from(radii) * self.k,
+        };
+        self.push(shape, Se3::new(rotation, at), material);
+    }
+
+    /// From `at` in the direction of `to`; `length` is given so that it is the same at all times.
+    fn limb(
+        &mut self,
+        at: Vector3<f64>,
+        to: Vector3<f64>,
+        length: f64,
+        [r0, r1]: [f64; 2],
+        material: Material,
+    ) {
+        let k = self.k;
+        let shape = Shape::Limb {
+            r0: r0 * k,
+            r1: r1 * k,
+            length: length * k,
+        };
+        let rotation = rotation_along(&(to - at), &Vector3::x());
+        self.push(shape, Se3::new(rotation, at), material);
+    }
+
+    fn push(&mut self, shape: Shape, pose: Se3, material: Material) {
+        let figure_from_part = Se3::new(pose.rotation, pose.translation * self.k);
+        self.parts.push(Part {
+            shape,
+            material,
+            figure_from_part,
+        });
+    }
+}
+
+/// Ankle in the figure's frame at cycle position p in [0, 1): (forward, up above standing).
+fn ankle(p: f64) -> (f64, f64) {
+    if p < STANCE {
+        (HALF_STEP_M * (1.0 - 2.0 * p / STANCE), 0.0)
+    } else {
+        let s = (p - STANCE) / (1.0 - STANCE);
+        // leaves and lands with the speed of the floor: a cubic with those slopes
+        let slope = -2.0 * HALF_STEP_M / STANCE * (1.0 - STANCE);
+        let (s2, s3) = (s * s, s * s * s);
+        let x = -HALF_STEP_M * (2.0 * s3 - 3.0 * s2 + 1.0)
+            + HALF_STEP_M * (3.0 * s2 - 2.0 * s3)
+            + slope * (2.0 * s3 - 3.0 * s2 + s);
+        let up = libm::sin(PI * s);
+        (x, 0.11 * up * up)
+    }
+}
+
+/// The knee of a leg of two equal bones, bent forward.
+fn knee(hip: &Vector3<f64>, ankle: &Vector3<f64>) -> Vector3<f64> {
+    let half = 0.5 * (ankle - hip);
+    let bend = (BONE_M * BONE_M - half.norm_squared()).max(0.0).sqrt();
+    let across = half.cross(&Vector3::y()).normalize();
+    hip + half + across * bend.copysign(across.x)
+}
+
+impl Figure {
+    /// Every part at a moment, always in the same order and of the same shapes.
+    pub(crate) fn parts(&self, step: &Step) -> Vec<Part> {
+        let k = self.height_m / 1.75;
+        let mut body = Body {
+            k,
+            parts: Vec::with_capacity(26),
+        };
+        let cycle = step.gone_m / (STRIDE_M * k);
+        let swing = libm::sin(TAU * (cycle + 0.10));
+        self.legs(&mut body, cycle);
+        self.torso(&mut body, swing * step.pace, step.t_s);
+        self.arms(&mut body, swing * step.pace, step.t_s);
+        body.parts
+    }
+
+    fn shirt(&self) -> Material {
+        Material::Fabric {
+            cloth: self.shirt,
+            seed: self.seed,
+        }
+    }
+
+    fn bare(&self) -> Material {
+        Material::Skin {
+            tone: self.skin,
+            seed: self.seed,
+        }
+    }
+
+    fn legs(&self, body: &mut Body, cycle: f64) {
+        let cloth = Material::Fabric {
+            cloth: self.trousers,
+            seed: self.seed ^ 1,
+        };
+        let leather = Material::Painted {
+            tone: [0.20, 0.15, 0.13],
+            seed: self.seed ^ 2,
+        };
+        for (side, shift) in [(1.0, 0.0), (-1.0, 0.5)] {
+            let p = cycle + shift - (cycle + shift).floor();
+            let (x, up) = ankle(p);
+            let hip = Vector3::new(0.0, 0.09 * side, HIP_M);
+            let foot = Vector3::new(x, 0.085 * side, ANKLE_M + up);
+            let knee = knee(&hip, &foot);
+            let leg = if self.skirt { self.bare() } else { cloth };
+            body.limb(hip, knee, BONE_M, [0.090, 0.062], leg);
+            body.limb(knee, foot, BONE_M, [0.061, 0.043], leg);
+            // the toes hang while the foot is in the air
+            let toe = foot + Vector3::new(0.19, 0.02 * side, -0.045 - 1.2 * up * (1.0 - p));
+            let heel = foot + Vector3::new(-0.04, 0.0, -0.035);
+            body.limb(heel, toe, 0.21, [0.045, 0.034], leather);
+        }
+        if self.skirt {
+            let waist = Vector3::new(0.0, 0.0, HIP_M + 0.02);
+            body.limb(waist, waist - Vector3::z(), 0.30, [0.165, 0.215], cloth);
+        } else {
+            let hips = Vector3::new(0.0, 0.0, HIP_M + 0.02);
+            body.ellipsoid(hips, So3::identity(), [0.118, 0.165, 0.13], cloth);
+        }
+    }
+
+    fn torso(&self, body: &mut Body, swing: f64, t_s: f64) {
+        let twist = So3::exp(&Vector3::new(0.0, 0.0, 0.10 * swing));
+        let up = |z: f64| Vector3::new(0.04 * (z - HIP_M), 0.0, z);
+        body.ellipsoid(up(1.02), twist, [0.118, 0.160, 0.19], self.shirt());
+        body.ellipsoid(up(1.22), twist, [0.128, 0.185, 0.21], self.shirt());
+        let across = twist * Vector3::y();
+        body.limb(
+            up(1.385) - across * 0.135,
+            up(1.385) + across,
+            0.27,
+            [0.068, 0.068],
+            self.shirt(),
+        );
+        body.limb(up(1.40), up(1.60), 0.14, [0.058, 0.052], self.bare());
+        let phase = f64::from(self.seed % 628) * 0.01;
+        let look = So3::exp(&Vector3::new(0.0, 0.0, 0.35 * libm::sin(0.9 * t_s + phase)));
+        let head = up(1.63) + Vector3::new(0.01, 0.0, 0.0);
+        let face = Material::Face {
+            tone: self.skin,
+            seed: self.seed,
+        };
+        body.ellipsoid(head, look, [0.100, 0.078, 0.122], face);
+        body.ellipsoid(
+            head + look * Vector3::new(0.098, 0.0, -0.01),
+            look,
+            [0.018, 0.013, 0.022],
+            self.bare(),
+        );
+        for side in [-1.0, 1.0] {
+            let ear = head + look * Vector3::new(-0.01, 0.077 * side, 0.0);
+            body.ellipsoid(ear, look, [0.018, 0.008, 0.028], self.bare());
+        }
+        let hair = Material::Hair {
+            tone: self.hair,
+            seed: self.seed,
+        };
+        body.ellipsoid(
+            head + look * Vector3::new(-0.022, 0.0, 0.034),
+            look,
+            [0.105, 0.088, 0.105],
+            hair,
+        );
+        if self.long_hair {
+            body.ellipsoid(
+                head + look * Vector3::new(-0.062, 0.0, -0.10),
+                look,
+                [0.055, 0.082, 0.16],
+                hair,
+            );
+        }
+        if self.backpack {
+            let pack = Material::Fabric {
+                cloth: Cloth::Printed([0.22, 0.30, 0.24], [0.85, 0.55, 0.15]),
+                seed: self.seed ^ 3,
+            };
+            let shape = Shape::Ellipsoid {
+                radii: Vector3::new(0.11, 0.16, 0.23) * body.k,
+            };
+            body.push(
+                shape,
+                Se3::new(twist, up(1.18) - twist * Vector3::x() * 0.19),
+                pack,
+            );
+        }
+    }
+
+    fn arms(&self, body: &mut Body, swing: f64, t_s: f64) {
+        let phase = f64::from(self.seed % 97);
+        let sleeve = if self.short_sleeves {
+            self.bare()
+        } else {
+            self.shirt()
+        };
+        for side in [1.0, -1.0] {
+            let shoulder = Vector3::new(0.02 - 0.02 * swing * side, 0.195 * side, 1.385);
+            // angles from hanging down: raised forward, spread outward; then the bend of the elbow
+            let (raise, spread, bend) = match self.arms {
+                Arms::Swing => (-0.50 * swing * side, 0.10, 0.30 - 0.20 * swing * side),
+                Arms::Carry => (0.38, 0.06, 1.15),
+                Arms::Gesture => {
+                    let w = libm::sin(2.3 * t_s + phase + 1.3 * side);
+                    let slow = libm::sin(0.7 * t_s + phase + side);
+                    (0.35 + 0.35 * slow, 0.22 + 0.10 * w, 1.30 + 0.45 * w)
+                }
+            };
+            let direction = |angle: f64, spread: f64| {
+                let (sin, cos) = libm::sincos(angle);
+                Vector3::new(sin, side * spread, -cos)
+            };
+            let upper = direction(raise, spread).normalize();
+            let inward = if self.arms == Arms::Swing {
+                0.05
+            } else {
+                -0.12
+            };
+            let lower = direction(raise + bend, inward).normalize();
+            let elbow = shoulder + upper * UPPER_ARM_M;
+            let wrist = elbow + lower * FOREARM_M;
+            body.limb(shoulder, elbow, UPPER_ARM_M, [0.058, 0.046], self.shirt());
+            body.limb(elbow, wrist, FOREARM_M, [0.043, 0.033], sleeve);
+            let hand = rotation_along(&lower, &Vector3::y());
+            body.ellipsoid(
+                wrist + lower * 0.07,
+                hand,
+                [0.035, 0.022, 0.085],
+                self.bare(),
+            );
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn figure(height_m: f64, arms: Arms) -> Figure {
+        Figure {
+            height_m,
+            shirt: Cloth::Denim,
+            trousers: Cloth::Denim,
+            skin: [0.7, 0.5, 0.4],
+            hair: [0.2; 3],
+            long_hair: true,
+            short_sleeves: true,
+            skirt: false,
+            backpack: true,
+            arms,
+            seed: 5,
+        }
+    }
+
+    fn step(gone_m: f64) -> Step {
+        Step {
+            gone_m,
+            t_s: 0.3 * gone_m,
+            pace: 1.0,
+        }
+    }
+
+    /// Rigid parts: whatever the moment, shapes are the same.
+    #[test]
+    fn shapes_do_not_change() {
+        for arms in [Arms::Swing, Arms::Carry, Arms::Gesture] {
+            let figure = figure(1.9, arms);
+            let first = figure.parts(&step(0.0));
+            for k in 1..50 {
+                let parts = figure.parts(&step(0.037 * f64::from(k)));
+                assert_eq!(parts.len(), first.len(), "count");
+                for (a, b) in parts.iter().zip(&first) {
+                    assert_eq!(a.shape, b.shape, "rigid");
+                }
+            }
+        }
+    }
+
+    /// Bones meet at the knee and the ankle, which a leg too short for its step would not.
+    #[test]
+    fn legs_are_long_enough() {
+        for k in 0..200 {
+            let p = f64::from(k) / 200.0;
+            let (x, up) = ankle(p);
+            let hip = Vector3::new(0.0, 0.09, HIP_M);
+            let foot = Vector3::new(x, 0.085, ANKLE_M + up);
+            let knee = knee(&hip, &foot);
+            assert!(((knee - hip).norm() - BONE_M).abs() < 1e-12, "thigh at {p}");
+            assert!(((foot - knee).norm() - BONE_M).abs() < 1e-12, "shin at {p}");
+            let middle = 0.5 * (hip + foot);
+            assert!(knee.x >= middle.x, "knees bend forward, at {p}");
+        }
+    }
+
+    /// A standing foot stays where it is while the figure moves on, and swings without a jump.
+    #[test]
+    fn feet_do_not_slide() {
+        let h = 1e-5;
+        for k in 0..1000 {
+            let p = f64::from(k) / 1000.0;
+            let ((x0, z0), (x1, z1)) = (ankle(p), ankle((p + h) % 1.0));
+            let floor_speed = (x1 - x0) / h + STRIDE_M;
+            if p + h < STANCE {
+                assert!(floor_speed.abs() < 1e-6 && z0 <= 0.0, "slides at {p}");
+            }
+            assert!(
+                (x1 - x0).abs() < 1e-4 && (z1 - z0).abs() < 1e-5,
+                "jumps at {p}"
+            );
+        }
+    }
+
+    #[test]
+    fn figures_are_as_tall_as_they_should_be() {
+        for height in [1.55, 1.75, 1.9] {
+            let top =
+                figure(height, Arms::Swing)
+                    .parts(&step(0.0))
+                    .iter()
+                    .fold(0.0f64, |top, p| {
+                        let [_, high] = p.shape.bounds();
+                        let upright = matches!(p.shape, Shape::Ellipsoid { .. });
+                        if upright {
+                            top.max(p.figure_from_part.translation.z + high.z)
+                        } else {
+                            top
+                        }
+                    });
+            assert!((top / height - 1.0).abs() < 0.03, "{top} of {height}");
+        }
+    }
+}

@@ -1,0 +1,353 @@
+//! [`Lighting`]: how much light reaches each place, worked out once for all that does not move.
+//!
+//! Light comes from a lamp, a window (four points) and, evenly, from everywhere else. Flat static
+//! faces carry a grid of irradiance with soft shadows and the darkening of corners; round static
+//! things one number for the darkening; movers are lit as if alone. So a static surface has the
+//! same light in every frame, with and without movers, and movers cast no shadow: what differs
+//! between a scene and its twin is exactly where a mover is seen.
+
+use garad_core::{Par, Se3};
+use nalgebra::{Matrix3, Vector3};
+
+use crate::material::Material;
+use crate::pattern::{Rgb, lerp};
+use crate::shape::{Shape, Surface, face_normal};
+use crate::solid::{Solid, rotation_along};
+
+const AMBIENT: Rgb = [0.44, 0.45, 0.48];
+/// Beyond this an obstacle no longer darkens a corner, metres.
+const CORNER_M: f64 = 0.9;
+/// Distance between the nodes of a grid, metres.
+const NODE_M: f64 = 0.11;
+const DIRECTIONS: usize = 20;
+
+struct Lamp {
+    at: [f64; 3],
+    /// Where it shines hardest; `None` for all around.
+    faces: Option<[f64; 3]>,
+    power: f64,
+    colour: Rgb,
+}
+
+const DAYLIGHT: Rgb = [0.95, 1.0, 1.08];
+const LAMPS: [Lamp; 5] = [
+    Lamp {
+        at: [0.4, -0.1, 2.2],
+        faces: None,
+        power: 0.62,
+        colour: [1.08, 0.98, 0.84],
+    },
+    window_point(-1.0, 1.2),
+    window_point(-0.2, 1.2),
+    window_point(-1.0, 1.8),
+    window_point(-0.2, 1.8),
+];
+
+const fn window_point(x: f64, z: f64) -> Lamp {
+    Lamp {
+        at: [x, -1.95, z],
+        faces: Some([0.0, 1.0, -0.1]),
+        power: 0.36,
+        colour: DAYLIGHT,
+    }
+}
+
+impl Lamp {
+    /// Irradiance on a surface with normal `n`, were there nothing in between.
+    fn unshadowed(&self, p: &Vector3<f64>, n: &Vector3<f64>) -> f64 {
+        let to_lamp = Vector3::from(self.at) - p;
+        let r2 = to_lamp.norm_squared();
+        let r = r2.sqrt();
+        let out = self
+            .faces
+            .map_or(1.0, |f| (-Vector3::from(f).dot(&to_lamp) / r).max(0.0));
+        // wrapped a little around the edge, as from a source of some size
+        let incidence = ((n.dot(&to_lamp) / r + 0.15) / 1.15).max(0.0);
+        self.power * out * incidence / (0.35 + 0.30 * r2)
+    }
+}
+
+/// Light on every static solid.
+#[derive(Debug, Clone)]
+pub(crate) struct Lighting {
+    solids: Vec<Baked>,
+}
+
+#[derive(Debug, Clone)]
+enum Baked {
+    /// One grid per face.
+    Faces(Vec<Grid>),
+    /// Share of the sky that is free.
+    Round(f32),
+}
+
+/// Irradiance at the nodes of a face, rows along u.
+#[derive(Debug, Clone)]
+struct Grid {
+    nodes: [usize; 2],
+    half: [f32; 2],
+    values: Vec<Rgb>,
+}
+
+impl Lighting {
+    /// Works the light out; the answer is the same for every `par`.
+    pub(crate) fn bake(solids: &[Solid], par: Par) -> Self {
+        let obstacles: Vec<Obstacle> = solids.iter().skip(1).filter_map(Obstacle::new).collect();
+        let bake = |i: usize| -> Baked {
+            let solid = &solids[i];
+            match solid.shape {
+                Shape::Room { half } => faces(solid, &half, -1.0, &obstacles),
+                Shape::Block { half } => faces(solid, &half, 1.0, &obstacles),
+                _ => {
+                    let centre = solid.world_from_solid.translation;
+                    let near: Vec<&Obstacle> = obstacles
+                        .iter()
+                        .filter(|o| (o.centre - centre).norm() < CORNER_M + o.radius)
+                        .filter(|o| !o.contains(&centre))
+                        .collect();
+                    #[allow(clippy::cast_possible_truncation, reason = "light is f32")]
+                    let free = open_sky(&centre, &Vector3::z(), &near) as f32;
+                    Baked::Round(free)
+                }
+            }
+        };
+        Self {
+            solids: par.map(solids.len(), bake),
+        }
+    }
+
+    /// Irradiance at a point of solid `index`; solids beyond the baked ones are movers.
+    pub(crate) fn at(&self, index: usize, s: &Surface, p: &Vector3<f64>, n: &Vector3<f64>) -> Rgb {
+        match self.solids.get(index) {
+            Some(Baked::Faces(grids)) => grids[s.face].at(s.uv),
+            Some(Baked::Round(open)) => lit(p, n, *open, |_| true),
+            // nearer to the floor less sky is free
+            None => {
+                #[allow(clippy::cast_possible_truncation, reason = "light is f32")]
+                let open = (0.55 + 0.35 * p.z).min(0.92) as f32;
+                lit(p, n, open, |_| true)
+            }
+        }
+    }
+}
+
+fn lit(p: &Vector3<f64>, n: &Vector3<f64>, open: f32, sees: impl Fn(&Lamp) -> bool) -> Rgb {
+    // the ceiling sends back more than the floor
+    #[allow(clippy::cast_possible_truncation, reason = "light is f32")]
+    let above = (0.88 + 0.12 * n.z) as f32;
+    let mut e = AMBIENT.map(|a| a * open * above);
+    for lamp in &LAMPS {
+        let direct = lamp.unshadowed(p, n);
+        if direct > 1e-4 && sees(lamp) {
+            for c in 0..3 {
+                #[allow(clippy::cast_possible_truncation, reason = "light is f32")]
+                let direct = direct as f32;
+                e[c] += direct * lamp.colour[c];
+            }
+        }
+    }
+    e
+}
+
+fn faces(solid: &Solid, half: &Vector3<f64>, outward: f64, obstacles: &[Obstacle]) -> Baked {
+    let grid = |face: usize| {
+        let axis = face / 2;
+        let (a, b) = [(1, 2), (0, 2), (0, 1)][axis];
+        #[allow(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a wall of 5 m has 47 nodes"
+        )]
+        let nodes = [a, b].map(|axis| 2 + (2.0 * half[axis] / NODE_M) as usize);
+        let normal = face_normal(face);
+        let n_world = solid.world_from_solid.rotation * (normal * outward);
+        let middle = solid.world_from_solid * normal.component_mul(half);
+        let reach = libm::hypot(half[a], half[b]);
+        let near: Vec<&Obstacle> = obstacles
+            .iter()
+            .filter(|o| (o.centre - middle).norm() < reach + CORNER_M + o.radius)
+            .filter(|o| (o.centre - middle).dot(&n_world) > -o.radius)
+            .collect();
+        let mut values = Vec::with_capacity(nodes[0] * nodes[1]);
+        for j in 0..nodes[1] {
+            for i in 0..nodes[0] {
+                let along = |k: usize, n: usize, half: f64| {
+                    // a little inside the edge, so that a node at a corner starts in the open
+                    (2.0 * k as f64 / (n - 1) as f64 - 1.0) * (half - 0.01f64.min(0.3 * half))
+                };
+                let mut p = normal.component_mul(half) + normal * (outward * 1e-3);
+                p[a] = along(i, nodes[0], half[a]);
+                p[b] = along(j, nodes[1], half[b]);
+                values.push(node(
+                    &(solid.world_from_solid * p),
+                    &n_world,
+                    &near,
+                    obstacles,
+                ));
+            }
+        }
+        #[allow(clippy::cast_possible_truncation, reason = "light is f32")]
+        let half = [half[a] as f32, half[b] as f32];
+        Grid {
+            nodes,
+            half,
+            values,
+        }
+    };
+    Baked::Faces((0..6).map(grid).collect())
+}
+
+/// Irradiance at a point of a static surface.
+fn node(p: &Vector3<f64>, n: &Vector3<f64>, near: &[&Obstacle], all: &[Obstacle]) -> Rgb {
+    if near.iter().any(|o| o.contains(p)) {
+        // below a cupboard: seen by nobody, but its neighbours blend with it
+        return AMBIENT.map(|a| 0.25 * a);
+    }
+    #[allow(clippy::cast_possible_truncation, reason = "light is f32")]
+    let open = open_sky(p, n, near) as f32;
+    lit(p, n, open, |lamp| {
+        let to_lamp = Vector3::from(lamp.at) - p;
+        !all.iter().any(|o| o.blocks(p, &to_lamp))
+    })
+}
+
+/// Mean over the half space above a point of min(distance / [`CORNER_M`], 1).
+fn open_sky(p: &Vector3<f64>, n: &Vector3<f64>, near: &[&Obstacle]) -> f64 {
+    let frame = rotation_along(n, &Vector3::new(0.36, 0.48, 0.8)).matrix();
+    let mut sum = 0.0;
+    for k in 0..DIRECTIONS {
+        // cosine-weighted: equal areas of the disc below the half sphere, on a golden spiral
+        let r2 = (k as f64 + 0.5) / DIRECTIONS as f64;
+        let (sin, cos) = libm::sincos(2.399_963 * k as f64);
+        let r = r2.sqrt();
+        let d = frame * Vector3::new(r * cos, r * sin, (1.0 - r2).sqrt());
+        let mut free = wall_distance(p, &d).min(CORNER_M);
+        for o in near {
+            if let Some(t) = o.distance(p, &d) {
+                free = free.min(t);
+            }
+        }
+        sum += free / CORNER_M;
+    }
+    // half of the darkness is undone by light that bounces in the corner
+    0.35 + 0.65 * sum / DIRECTIONS as f64
+}
+
+fn wall_distance(p: &Vector3<f64>, d: &Vector3<f64>) -> f64 {
+    let half: Vector3<f64> = crate::room::HALF.into();
+    let o = p - Vector3::new(0.0, 0.0, half.z);
+    Shape::Room { half }.intersect(&o, d).unwrap_or(0.0)
+}
+
+/// A static solid as something in the way of light.
+struct Obstacle {
+    shape: Shape,
+    rotation: Matrix3<f64>,
+    solid_from_world: Se3,
+    centre: Vector3<f64>,
+    radius: f64,
+}
+
+impl Obstacle {
+    /// `None` for what shines, and for the window and pictures, too flat to matter.
+    fn new(solid: &Solid) -> Option<Self> {
+        let lets_through = matches!(
+            solid.material,
+            Material::Shade { .. } | Material::Window { .. } | Material::Page { .. }
+        );
+        let [low, high] = solid.shape.bounds();
+        let solid_from_world = solid.world_from_solid.inverse();
+        (!lets_through).then(|| Self {
+            shape: solid.shape,
+            rotation: solid_from_world.rotation.matrix(),
+            solid_from_world,
+            centre: solid.world_from_solid * (0.5 * (low + high)),
+            radius: 0.5 * (high - low).norm(),
+        })
+    }
+
+    fn to_solid(&self, p: &Vector3<f64>) -> Vector3<f64> {
+        self.rotation * p + self.solid_from_world.translation
+    }
+
+    fn contains(&self, p: &Vector3<f64>) -> bool {
+        (p - self.centre).norm_squared() < self.radius * self.radius
+            && self.shape.contains(&self.to_solid(p))
+    }
+
+    /// Distance along a unit direction, by the ball around it first.
+    fn distance(&self, p: &Vector3<f64>, d: &Vector3<f64>) -> Option<f64> {
+        let to_centre = self.centre - p;
+        let along = to_centre.dot(d);
+        let miss2 = to_centre.norm_squared() - along * along;
+        if miss2 > self.radius * self.radius || along < -self.radius {
+            return None;
+        }
+        self.shape
+            .intersect(&self.to_solid(p), &(self.rotation * d))
+    }
+
+    /// Whether it lies between a point and the end of `way`.
+    fn blocks(&self, p: &Vector3<f64>, way: &Vector3<f64>) -> bool {
+        let length = way.norm();
+        self.distance(p, &(way / length))
+            .is_some_and(|t| t < length)
+    }
+}
+
+impl Grid {
+    /// Bilinear.
+    #[allow(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "clamped to the grid"
+    )]
+    fn at(&self, uv: [f32; 2]) -> Rgb {
+        let place = |axis: usize| {
+            let steps = (self.nodes[axis] - 1) as f32;
+            let x = ((uv[axis] / self.half[axis] + 1.0) * 0.5 * steps).clamp(0.0, steps);
+            let i = (x as usize).min(self.nodes[axis] - 2);
+            (i, x - i as f32)
+        };
+        let ((i, x), (j, y)) = (place(0), place(1));
+        let value = |di: usize, dj: usize| &self.values[(j + dj) * self.nodes[0] + i + di];
+        let (a, b, c, d) = (value(0, 0), value(1, 0), value(0, 1), value(1, 1));
+        std::array::from_fn(|k| lerp(lerp(a[k], b[k], x), lerp(c[k], d[k], x), y))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cast::furnishing;
+    use crate::config::SceneName;
+    use crate::room::furnished;
+
+    fn floor_light(lighting: &Lighting, x: f32, y: f32) -> f32 {
+        let s = Surface {
+            face: 4,
+            uv: [x, y],
+            half: [2.5, 2.0],
+        };
+        lighting.at(0, &s, &Vector3::zeros(), &Vector3::z())[1]
+    }
+
+    #[test]
+    fn below_the_desk_and_in_corners_it_is_darker() {
+        let solids = furnished(furnishing(SceneName::Walking), 1);
+        let lighting = Lighting::bake(&solids, Par::Seq);
+        let open = floor_light(&lighting, 0.3, -0.6);
+        let below_desk = floor_light(&lighting, 0.2, 1.7);
+        let corner = floor_light(&lighting, 2.45, -1.95);
+        assert!(below_desk < 0.6 * open, "{below_desk} against {open}");
+        assert!(corner < 0.9 * open, "{corner} against {open}");
+    }
+
+    #[test]
+    fn more_threads_bring_no_other_light() {
+        let mut solids = furnished(furnishing(SceneName::Crowd), 2);
+        solids.truncate(40);
+        let bits = |par: Par| format!("{:?}", Lighting::bake(&solids, par));
+        assert_eq!(bits(Par::Seq), bits(Par::Threads(3)), "bits");
+    }
+}

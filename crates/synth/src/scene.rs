@@ -1,0 +1,223 @@
+//! [`Scene`]: a recording that is computed instead of recorded.
+
+use std::sync::{Arc, OnceLock};
+
+use garad_core::{Camera, DepthImage, Image, MaskImage, Par, RgbImage, Se3, StampedPose};
+
+use crate::actor::Actor;
+use crate::camera_path::CameraPath;
+use crate::cast::{actors, furnishing};
+use crate::config::{SceneConfig, SynthError};
+use crate::flow;
+use crate::light::Lighting;
+use crate::noise;
+use crate::render::{Rendered, render};
+use crate::room::furnished;
+use crate::solid::Solid;
+use crate::view::View;
+
+/// A mover that stood still this many frames ago or longer is static again in the mask.
+pub const MASK_MEMORY_FRAMES: usize = 10;
+
+/// One frame with everything that is true about it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SynthFrame {
+    /// Seconds since the first frame.
+    pub t_s: f64,
+    /// Colour.
+    pub rgb: RgbImage,
+    /// Depth along the optical axis, metres: exact to an f32, or as measured; 0 where missing.
+    pub depth: DepthImage,
+    /// 255 on a mover that moves or has moved within the last [`MASK_MEMORY_FRAMES`] frames, else 0.
+    pub mask: MaskImage,
+    /// 0 for the room, 1, 2, ... for the movers, whether they move or not.
+    pub object: Image<u8>,
+    /// Exact pose.
+    pub world_from_camera: Se3,
+}
+
+/// A scene of which any frame can be asked for, in any order.
+///
+/// World axes: x and y along the walls, z up, origin in the middle of the floor. Motion is a
+/// function of time, defined for every frame number: what lies beyond [`Scene::len`] is not an error.
+///
+/// # Example
+/// ```
+/// use garad_core::Par;
+/// use garad_synth::{Scene, SceneConfig, SceneName};
+/// # fn main() -> Result<(), garad_synth::SynthError> {
+/// let config = SceneConfig { width: 64, height: 48, ..SceneConfig::new(SceneName::Walking) };
+/// let scene = Scene::new(&config)?;
+/// let frame = scene.frame(12, Par::Seq);
+/// assert_eq!(frame.rgb.size(), (64, 48));
+/// assert!(frame.depth.data().iter().all(|&z| z > 0.3 && z < 7.0)); // a closed room
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug, Clone)]
+pub struct Scene {
+    config: SceneConfig,
+    camera: Camera,
+    path: CameraPath,
+    room: Arc<Vec<Solid>>,
+    actors: Vec<Actor>,
+    /// Worked out when the first frame is asked for; poses and flow do without.
+    lighting: Arc<OnceLock<Lighting>>,
+}
+
+impl Scene {
+    /// Builds the room and its cast.
+    ///
+    /// # Errors
+    /// [`SynthError`] for a picture, a rate or a number of frames that cannot be.
+    pub fn new(config: &SceneConfig) -> Result<Self, SynthError> {
+        config.validate()?;
+        let (width, height) = (config.width, config.height);
+        // 525 px at 640 columns, and a principal point a few pixels off the middle, as in any real
+        // camera: code that forgets cx and cy shows
+        let scale = width as f64 / 640.0;
+        let cx = 0.5 * (width as f64 - 1.0) + 2.75 * scale;
+        let cy = 0.5 * (height as f64 - 1.0) - 3.5 * scale;
+        let camera = Camera::pinhole((width, height), [525.0 * scale, 525.0 * scale, cx, cy])?;
+        #[allow(
+            clippy::cast_possible_truncation,
+            reason = "any 32 bits of the seed will do"
+        )]
+        let texture_seed = (config.seed ^ (config.seed >> 32)) as u32;
+        Ok(Self {
+            camera,
+            path: CameraPath::new(config.name, config.seed),
+            room: Arc::new(furnished(furnishing(config.name), texture_seed)),
+            actors: if config.static_twin {
+                Vec::new()
+            } else {
+                actors(config.name, config.seed)
+            },
+            lighting: Arc::default(),
+            config: config.clone(),
+        })
+    }
+
+    /// The same recording without movers; it shares the room and its light.
+    #[must_use]
+    pub fn static_twin(&self) -> Self {
+        let mut twin = self.clone();
+        twin.config.static_twin = true;
+        twin.actors.clear();
+        twin
+    }
+
+    /// What was asked for.
+    #[must_use]
+    pub fn config(&self) -> &SceneConfig {
+        &self.config
+    }
+
+    /// The camera: f = 525/640 of the width, no distortion.
+    #[must_use]
+    pub fn camera(&self) -> Camera {
+        self.camera
+    }
+
+    /// Number of frames.
+    #[must_use]
+    #[allow(
+        clippy::len_without_is_empty,
+        reason = "a scene has at least one frame"
+    )]
+    pub fn len(&self) -> usize {
+        self.config.frames
+    }
+
+    /// Number of movers; their object ids are 1 to this.
+    #[must_use]
+    pub fn movers(&self) -> usize {
+        self.actors.len()
+    }
+
+    /// Time of a frame, seconds: index / fps.
+    #[must_use]
+    pub fn timestamp(&self, index: usize) -> f64 {
+        index as f64 / self.config.fps
+    }
+
+    /// Exact pose of the camera.
+    #[must_use]
+    pub fn world_from_camera(&self, index: usize) -> Se3 {
+        self.path.world_from_camera(self.timestamp(index))
+    }
+
+    /// The poses of all frames.
+    #[must_use]
+    pub fn trajectory(&self) -> Vec<StampedPose> {
+        (0..self.len())
+            .map(|i| StampedPose {
+                t_s: self.timestamp(i),
+                world_from_camera: self.world_from_camera(i),
+            })
+            .collect()
+    }
+
+    /// One frame. The same bits for every `par`, and whatever other frames were asked for.
+    #[must_use]
+    pub fn frame(&self, index: usize, par: Par) -> SynthFrame {
+        let lighting = self
+            .lighting
+            .get_or_init(|| Lighting::bake(&self.room, par));
+        let exact = render(&self.view(index), lighting, self.config.supersample, par);
+        let moving: Vec<bool> = self
+            .actors
+            .iter()
+            .map(|a| self.counts_as_moving(a, index))
+            .collect();
+        let mask = exact.object.map(|&id| {
+            let moves = id > 0 && moving[usize::from(id) - 1];
+            if moves { 255 } else { 0 }
+        });
+        let (rgb, depth, object) = self.sensed(exact, index, par);
+        SynthFrame {
+            t_s: self.timestamp(index),
+            rgb,
+            depth,
+            mask,
+            object,
+            world_from_camera: self.world_from_camera(index),
+        }
+    }
+
+    /// Exact optical flow from frame `i` to frame `j`, pixels: where the surface point in the middle
+    /// of each pixel went. Each rigid part of a mover carries its own motion. NaN where the point is
+    /// hidden in frame `j` or outside its picture.
+    #[must_use]
+    pub fn flow(&self, i: usize, j: usize, par: Par) -> Image<[f32; 2]> {
+        let camera_from_world = self.world_from_camera(j).inverse();
+        flow::flow(&self.view(i), &self.view(j), &camera_from_world, par)
+    }
+
+    fn view(&self, index: usize) -> View {
+        let t_s = self.timestamp(index);
+        let movers = self.actors.iter().flat_map(|actor| actor.solids(t_s));
+        let solids = self.room.iter().copied().chain(movers).collect();
+        View::new(self.camera, &self.world_from_camera(index), solids)
+    }
+
+    fn sensed(&self, exact: Rendered, index: usize, par: Par) -> (RgbImage, DepthImage, Image<u8>) {
+        if !self.config.noise {
+            return (exact.rgb, exact.depth, exact.object);
+        }
+        let key = (self.config.seed, index as u64);
+        let rgb = noise::measured_rgb(&exact.rgb, key, par);
+        let depth = noise::measured_depth(&exact.depth, &exact.incidence, key, par);
+        (rgb, depth, exact.object)
+    }
+
+    /// It moves on the way to this frame, or did so within the memory of the mask. On the way to the
+    /// first frame counts what happens after it.
+    fn counts_as_moving(&self, actor: &Actor, index: usize) -> bool {
+        let t = |k: usize| self.timestamp(k);
+        (index.saturating_sub(MASK_MEMORY_FRAMES)..=index).any(|k| {
+            let before = k.saturating_sub(1);
+            actor.moves_between(t(before), t(before + 1))
+        })
+    }
+}

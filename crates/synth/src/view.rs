@@ -1,0 +1,267 @@
+//! [`View`]: the solids as one camera sees them, sorted into tiles; and the rays cast into them.
+//!
+//! A ray is o + z d with d = ((u - cx)/fx, (v - cy)/fy, 1) in the camera's frame, so its parameter
+//! is the depth. Each solid carries the camera's place in its own frame, and one 3x3 matrix brings
+//! d there. A tile lists the solids whose bounding boxes project into it, nearest first: once
+//! something is hit, a solid that begins behind it ends the search.
+
+use garad_core::{Camera, Se3};
+use nalgebra::{Matrix3, Vector3};
+
+use crate::shape::Shape;
+use crate::solid::Solid;
+
+/// Side of a tile, pixels.
+const TILE: usize = 8;
+/// A box that comes nearer than this to the plane of the camera is put into every tile, metres.
+const NEAR_M: f64 = 0.05;
+
+/// What a ray meets.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Hit {
+    /// Which solid.
+    pub(crate) index: usize,
+    /// Depth along the optical axis, metres.
+    pub(crate) z: f64,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Seen {
+    camera_in_solid: Vector3<f64>,
+    solid_from_camera: Matrix3<f64>,
+    /// No part of it is nearer.
+    z_min: f64,
+}
+
+/// One camera's view of the solids.
+#[derive(Debug)]
+pub(crate) struct View {
+    pub(crate) camera: Camera,
+    pub(crate) solids: Vec<Solid>,
+    seen: Vec<Seen>,
+    columns: usize,
+    rows: usize,
+    /// `lists[starts[t]..starts[t + 1]]`: the solids of tile t, nearest first.
+    starts: Vec<usize>,
+    lists: Vec<u32>,
+}
+
+impl View {
+    pub(crate) fn new(camera: Camera, world_from_camera: &Se3, solids: Vec<Solid>) -> Self {
+        let columns = camera.width.div_ceil(TILE);
+        let rows = camera.height.div_ceil(TILE);
+        let mut seen = Vec::with_capacity(solids.len());
+        let mut boxes = Vec::new();
+        for (index, solid) in solids.iter().enumerate() {
+            let solid_from_camera = solid.world_from_solid.inverse() * *world_from_camera;
+            let bounds = Self::bounds(&camera, solid, &solid_from_camera.inverse());
+            let z_min = bounds.map_or(0.0, |b| b.0);
+            seen.push(Seen {
+                camera_in_solid: solid_from_camera.translation,
+                solid_from_camera: solid_from_camera.rotation.matrix(),
+                z_min,
+            });
+            if let Some((_, pixels)) = bounds {
+                boxes.push((z_min, index, tile_range(pixels, columns, rows)));
+            }
+        }
+        boxes.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let (starts, lists) = tile_lists(&boxes, columns, rows);
+        Self {
+            camera,
+            solids,
+            seen,
+            columns,
+            rows,
+            starts,
+            lists,
+        }
+    }
+
+    /// (nearest depth, [u0, u1, v0, v1]) of the bounding box; `None` behind the camera.
+    fn bounds(camera: &Camera, solid: &Solid, camera_from_solid: &Se3) -> Option<(f64, [f64; 4])> {
+        let everywhere = [0.0, camera.width as f64, 0.0, camera.height as f64];
+        if let Shape::Room { .. } = solid.shape {
+            // behind everything else, and seen by every ray that meets nothing
+            return Some((f64::MAX, everywhere));
+        }
+        let [low, high] = solid.shape.bounds();
+        let r = camera_from_solid.rotation.matrix();
+        let (mut z_min, mut z_max) = (f64::MAX, f64::MIN);
+        let mut pixels = [f64::MAX, f64::MIN, f64::MAX, f64::MIN];
+        for corner in 0..8 {
+            let p = Vector3::from_fn(|a, _| {
+                if corner >> a & 1 == 0 {
+                    low[a]
+                } else {
+                    high[a]
+                }
+            });
+            let p = r * p + camera_from_solid.translation;
+            z_min = z_min.min(p.z);
+            z_max = z_max.max(p.z);
+            let u = camera.fx * p.x / p.z + camera.cx;
+            let v = camera.fy * p.y / p.z + camera.cy;
+            pixels = [
+                pixels[0].min(u),
+                pixels[1].max(u),
+                pixels[2].min(v),
+                pixels[3].max(v),
+            ];
+        }
+        if z_max <= 0.0 {
+            None
+        } else if z_min < NEAR_M {
+            Some((0.0, everywhere))
+        } else {
+            Some((z_min, pixels))
+        }
+    }
+
+    /// Direction of the ray through a pixel, z = 1, in the camera's frame.
+    #[inline]
+    pub(crate) fn direction(&self, u: f64, v: f64) -> Vector3<f64> {
+        let c = &self.camera;
+        Vector3::new((u - c.cx) / c.fx, (v - c.cy) / c.fy, 1.0)
+    }
+
+    /// The first solid on the ray through a pixel of the picture.
+    #[inline]
+    pub(crate) fn cast(&self, u: f64, v: f64) -> Option<Hit> {
+        #[allow(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a pixel's tile; what is outside goes to the border"
+        )]
+        let tile = |x: f64, count: usize| ((x.max(0.0) / TILE as f64) as usize).min(count - 1);
+        let t = tile(v, self.rows) * self.columns + tile(u, self.columns);
+        let d = self.direction(u, v);
+        let mut best: Option<Hit> = None;
+        for &index in &self.lists[self.starts[t]..self.starts[t + 1]] {
+            let index = index as usize;
+            let seen = &self.seen[index];
+            let limit = best.map_or(f64::INFINITY, |hit| hit.z);
+            if seen.z_min > limit {
+                break;
+            }
+            let d = seen.solid_from_camera * d;
+            if let Some(z) = self.solids[index]
+                .shape
+                .intersect(&seen.camera_in_solid, &d)
+                && z < limit
+            {
+                best = Some(Hit { index, z });
+            }
+        }
+        best
+    }
+
+    /// The point hit, in the frame of its solid.
+    #[inline]
+    pub(crate) fn point_in_solid(&self, hit: &Hit, u: f64, v: f64) -> Vector3<f64> {
+        let seen = &self.seen[hit.index];
+        seen.camera_in_solid + seen.solid_from_camera * (self.direction(u, v) * hit.z)
+    }
+
+    /// The ray's direction (z = 1 in the camera) in the frame of a solid.
+    #[inline]
+    pub(crate) fn direction_in_solid(&self, index: usize, u: f64, v: f64) -> Vector3<f64> {
+        self.seen[index].solid_from_camera * self.direction(u, v)
+    }
+}
+
+/// Tiles [c0, c1, r0, r1], ends included, that a box of pixels touches with a pixel to spare;
+/// `None` outside the picture.
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "clamped to the picture before the cast"
+)]
+fn tile_range(pixels: [f64; 4], columns: usize, rows: usize) -> Option<[usize; 4]> {
+    let range = |low: f64, high: f64, count: usize| {
+        let (low, high) = (low - 1.0, high + 1.0);
+        let end = (count * TILE) as f64;
+        (high >= 0.0 && low < end).then(|| {
+            let tile = |x: f64| ((x.clamp(0.0, end) / TILE as f64) as usize).min(count - 1);
+            [tile(low), tile(high)]
+        })
+    };
+    let [c0, c1] = range(pixels[0], pixels[1], columns)?;
+    let [r0, r1] = range(pixels[2], pixels[3], rows)?;
+    Some([c0, c1, r0, r1])
+}
+
+/// Lists of all tiles, each in the order of `boxes`.
+fn tile_lists(
+    boxes: &[(f64, usize, Option<[usize; 4]>)],
+    columns: usize,
+    rows: usize,
+) -> (Vec<usize>, Vec<u32>) {
+    let tiles = |range: &[usize; 4]| {
+        let [c0, c1, r0, r1] = *range;
+        (r0..=r1).flat_map(move |r| (c0..=c1).map(move |c| r * columns + c))
+    };
+    let mut starts = vec![0usize; columns * rows + 1];
+    for (_, _, range) in boxes {
+        for t in range.iter().flat_map(tiles) {
+            starts[t + 1] += 1;
+        }
+    }
+    for t in 0..columns * rows {
+        starts[t + 1] += starts[t];
+    }
+    let mut next = starts.clone();
+    let mut lists = vec![0u32; starts[columns * rows]];
+    for (_, index, range) in boxes {
+        for t in range.iter().flat_map(tiles) {
+            #[allow(
+                clippy::cast_possible_truncation,
+                reason = "a room has a few hundred solids"
+            )]
+            let index = *index as u32;
+            lists[next[t]] = index;
+            next[t] += 1;
+        }
+    }
+    (starts, lists)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::actor::Actor;
+    use crate::camera_path::CameraPath;
+    use crate::cast::{actors, furnishing};
+    use crate::config::SceneName;
+    use crate::room::furnished;
+
+    /// Tiles and depth order change nothing: every ray against every solid.
+    #[test]
+    fn tiles_miss_nothing() {
+        let camera = Camera::pinhole((160, 120), [131.0, 131.0, 80.3, 58.9]).expect("a camera");
+        for name in SceneName::all() {
+            let solids: Vec<Solid> = furnished(furnishing(name), 1)
+                .into_iter()
+                .chain(actors(name, 1).iter().flat_map(|a: &Actor| a.solids(1.3)))
+                .collect();
+            let pose = CameraPath::new(name, 1).world_from_camera(1.3);
+            let view = View::new(camera, &pose, solids);
+            for k in 0..800u32 {
+                let (u, v) = (
+                    f64::from(k * 37 % 1600) * 0.1,
+                    f64::from(k * 53 % 1200) * 0.1,
+                );
+                let d = view.direction(u, v);
+                let mut nearest = f64::INFINITY;
+                for (solid, seen) in view.solids.iter().zip(&view.seen) {
+                    let d = seen.solid_from_camera * d;
+                    if let Some(z) = solid.shape.intersect(&seen.camera_in_solid, &d) {
+                        nearest = nearest.min(z);
+                    }
+                }
+                let hit = view.cast(u, v).expect("the room is closed");
+                assert_eq!(hit.z.to_bits(), nearest.to_bits(), "{name} at {u}, {v}");
+            }
+        }
+    }
+}
