@@ -29,7 +29,12 @@ struct Ahead {
 impl Frames {
     pub(crate) fn new(dataset: Dataset, prefetch: usize) -> Self {
         // Without a thread (none asked for, or none to be had) frames are decoded when asked for.
-        let ahead = (prefetch > 0).then(|| start(&dataset, prefetch)).flatten();
+        let ahead = (prefetch > 0)
+            .then(|| {
+                let dataset = dataset.clone();
+                Ahead::start(dataset.len(), prefetch, move |i| dataset.read(i))
+            })
+            .flatten();
         Self {
             dataset,
             next: 0,
@@ -38,21 +43,40 @@ impl Frames {
     }
 }
 
-fn start(dataset: &Dataset, prefetch: usize) -> Option<Ahead> {
-    let dataset = dataset.clone();
-    // One more frame waits in the hand of the thread, so the channel holds one less.
-    let (sender, frames) = sync_channel(prefetch - 1);
-    let thread = Builder::new()
-        .name("decode".to_owned())
-        .spawn(move || {
-            for i in 0..dataset.len() {
-                if sender.send(dataset.read(i)).is_err() {
-                    return; // nobody listens any more
+impl Ahead {
+    /// Starts to read frames 0..len; `None` if there is no thread to be had.
+    fn start(
+        len: usize,
+        prefetch: usize,
+        read: impl Fn(usize) -> Result<Frame, DatasetError> + Send + 'static,
+    ) -> Option<Self> {
+        // One more frame waits in the hand of the thread, so the channel holds one less.
+        let (sender, frames) = sync_channel(prefetch - 1);
+        let thread = Builder::new()
+            .name("decode".to_owned())
+            .spawn(move || {
+                for i in 0..len {
+                    if sender.send(read(i)).is_err() {
+                        return; // nobody listens any more
+                    }
                 }
-            }
-        })
-        .ok()?;
-    Some(Ahead { frames, thread })
+            })
+            .ok()?;
+        Some(Self { frames, thread })
+    }
+
+    /// The next frame; `None` when the thread has ended.
+    fn next(&self) -> Option<Result<Frame, DatasetError>> {
+        self.frames.recv().ok()
+    }
+
+    /// Waits for the end of the thread and passes its panic on.
+    fn finish(self) {
+        drop(self.frames);
+        if let Err(panic) = self.thread.join() {
+            resume_unwind(panic);
+        }
+    }
 }
 
 impl Iterator for Frames {
@@ -67,15 +91,15 @@ impl Iterator for Frames {
         let Some(ahead) = &self.ahead else {
             return Some(self.dataset.read(i));
         };
-        if let Ok(frame) = ahead.frames.recv() {
-            return Some(frame);
+        let frame = ahead.next();
+        if frame.is_none() {
+            // The thread is gone before its last frame: it panicked.
+            self.next = self.dataset.len();
+            if let Some(ahead) = self.ahead.take() {
+                ahead.finish();
+            }
         }
-        // The thread is gone before its last frame: it panicked.
-        self.next = self.dataset.len();
-        if let Some(Err(panic)) = self.ahead.take().map(|ahead| ahead.thread.join()) {
-            resume_unwind(panic);
-        }
-        None
+        frame
     }
 
     fn size_hint(&self) -> (usize, Option<usize>) {
@@ -93,5 +117,30 @@ impl Drop for Frames {
             // A panic in a frame nobody waits for is not passed on.
             let _ = thread.join();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+
+    use super::*;
+
+    #[test]
+    fn a_panic_goes_on_where_the_frame_was_asked_for() {
+        let ahead = Ahead::start(5, 2, |i| {
+            assert!(i < 1, "frame {i} burnt down");
+            Err(DatasetError::Option {
+                option: "frame",
+                value: i.to_string(),
+                expected: "nothing",
+            })
+        })
+        .expect("a thread");
+        assert!(matches!(ahead.next(), Some(Err(_))), "frame 0");
+        assert!(ahead.next().is_none(), "frame 1");
+        let panic = catch_unwind(AssertUnwindSafe(|| ahead.finish())).expect_err("passed on");
+        let message = panic.downcast_ref::<String>().expect("a message");
+        assert!(message.contains("frame 1 burnt down"), "{message}");
     }
 }
