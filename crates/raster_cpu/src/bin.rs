@@ -4,8 +4,8 @@ use garad_core::Real;
 
 use crate::project::{PixelRect, Projected};
 
-/// Sorts by depth, then by row in the map: a total order, so the picture does not depend on how
-/// the map is sorted in memory except between equal depths, and never on the sort algorithm.
+/// Sorts by depth, then by row in the map (R8): a total order, so the picture depends on the
+/// order of the map's rows between equal depths alone, and never on the sort algorithm.
 pub(crate) fn sort_front_to_back<T: Real>(splats: Vec<Projected<T>>) -> Vec<Projected<T>> {
     // Keys are sorted and rows gathered once: a row is ten times the size of a key.
     let mut order: Vec<(T, u32)> = splats.iter().map(|s| s.depth_m).zip(0..).collect();
@@ -83,5 +83,58 @@ fn for_each_tile(rect: &PixelRect, tile_px: usize, columns: usize, mut f: impl F
         for column in rect.x0 / tile_px..rect.x1.div_ceil(tile_px) {
             f(row * columns + column);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn splat(index: u32, depth_m: f64, x: [usize; 2], y: [usize; 2]) -> Projected<f64> {
+        Projected {
+            index,
+            mean_px: [0.0; 2],
+            depth_m,
+            conic: [1.0, 0.0, 1.0],
+            shear: 0.0,
+            inv_var_y: 1.0,
+            sigma_px: [1.0; 2],
+            opacity: 0.5,
+            color: [0.0; 3],
+            radius_px: 1,
+            footprint: PixelRect {
+                x0: x[0],
+                x1: x[1],
+                y0: y[0],
+                y1: y[1],
+            },
+        }
+    }
+
+    #[test]
+    fn near_before_far_and_rows_in_order_at_equal_depth() {
+        let depths = [2.0, 1.0, 2.0, 0.5, 1.0];
+        let splats = (0..5u32).zip(depths);
+        let sorted = sort_front_to_back(splats.map(|(i, z)| splat(i, z, [0, 1], [0, 1])).collect());
+        let order: Vec<u32> = sorted.iter().map(|s| s.index).collect();
+        assert_eq!(order, [3, 1, 4, 0, 2], "depth, then row");
+    }
+
+    #[test]
+    fn lists_of_a_picture_of_two_by_two_tiles() {
+        // 20 x 18 px in tiles of 16: the right and lower ones are cut.
+        let splats = [
+            splat(7, 1.0, [0, 20], [0, 18]),  // everywhere
+            splat(8, 2.0, [16, 20], [0, 16]), // upper right
+            splat(9, 3.0, [0, 16], [16, 18]), // lower left
+            splat(5, 4.0, [15, 17], [3, 4]),  // upper two, across the seam
+        ];
+        let tiles = Tiles::new(&splats, [20, 18], 16);
+        assert_eq!(tiles.len(), 4, "tiles");
+        let lists: Vec<&[u32]> = (0..4).map(|t| tiles.list(t)).collect();
+        assert_eq!(lists, [&[0, 3][..], &[0, 1, 3], &[0, 2], &[0]], "positions");
+        let corner = tiles.rect(3);
+        assert_eq!((corner.x0, corner.x1), (16, 20), "columns");
+        assert_eq!((corner.y0, corner.y1), (16, 18), "rows");
     }
 }

@@ -7,8 +7,9 @@ use crate::project::{PixelRect, Projected, to_index};
 /// A splat thinner than this at a pixel is left out there (R10): half a step of an 8-bit
 /// channel even on a white background. Source: 3D Gaussian Splatting.
 pub const MIN_ALPHA: f64 = 1.0 / 255.0;
-/// No splat covers a pixel entirely (R10), so that 1 - alpha can be divided by. Its square is
-/// just above [`MIN_TRANSMITTANCE`]: two full splats still both count.
+/// No splat covers a pixel entirely (R10), so that 1 - alpha can be divided by. The two cuts
+/// touch: (1 - 0.99)² is [`MIN_TRANSMITTANCE`]. A second full splat is still blended in f64 and
+/// refused in f32, where 0.99 is rounded up.
 pub const MAX_ALPHA: f64 = 0.99;
 /// A pixel is finished before a splat that would let less light than this through (R11).
 pub const MIN_TRANSMITTANCE: f64 = 1e-4;
@@ -186,4 +187,112 @@ impl<T: Real> Reach<T> {
 fn interval<T: Real>(middle: T, half: T) -> (usize, usize) {
     let (one, two) = (T::ONE, T::from_f64(2.0));
     (to_index(middle - half - one), to_index(middle + half + two))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Round, variance 1 px², on the centre of pixel (2, 1).
+    fn splat(opacity: f64, color: [f64; 3], depth_m: f64) -> Projected<f64> {
+        Projected {
+            index: 0,
+            mean_px: [2.0, 1.0],
+            depth_m,
+            conic: [1.0, 0.0, 1.0],
+            shear: 0.0,
+            inv_var_y: 1.0,
+            sigma_px: [1.0, 1.0],
+            opacity,
+            color,
+            radius_px: 3,
+            footprint: TILE,
+        }
+    }
+
+    const TILE: PixelRect = PixelRect {
+        x0: 0,
+        x1: 6,
+        y0: 0,
+        y1: 3,
+    };
+
+    #[test]
+    fn two_splats_by_hand() {
+        let red = splat(0.5, [1.0, 0.0, 0.0], 1.0);
+        let green = splat(0.8, [0.0, 1.0, 0.0], 3.0);
+        let pixels = composite_tile(&[green, red], &[1, 0], &TILE);
+        let at = pixels[6 + 2];
+        // red 0.5; green 0.8 of the half that is left; 0.1 goes through.
+        assert!((at.color[0] - 0.5).abs() < 1e-15, "red {}", at.color[0]);
+        assert!((at.color[1] - 0.4).abs() < 1e-15, "green {}", at.color[1]);
+        assert!((at.depth - (0.5 + 1.2)).abs() < 1e-15, "depth {}", at.depth);
+        assert!((at.transmittance - 0.1).abs() < 1e-15, "left");
+        assert_eq!((at.contributors, at.last), (2, 2), "both");
+        // Three pixels aside e^-4.5 = 0.0111: red 0.0056 and green 0.0089 both pass 1/255.
+        assert_eq!(pixels[6 + 5].contributors, 2, "at three sigma");
+    }
+
+    #[test]
+    fn a_splat_that_would_leave_too_little_ends_the_pixel() {
+        let full = splat(1.0, [1.0; 3], 1.0);
+        let thin = splat(0.01, [1.0; 3], 2.0);
+        let at = composite_tile(&[full, thin], &[0, 0, 0, 1], &TILE)[6 + 2];
+        // 0.99 twice; the third full one is refused, and the thin one behind it, which would
+        // have fitted, is not asked any more.
+        assert_eq!((at.contributors, at.last), (2, 2), "closed by the third");
+        assert!((at.transmittance - 1e-4).abs() < 1e-15, "0.01 · 0.01");
+        let at = composite_tile(&[full, thin], &[0, 1, 0], &TILE)[6 + 2];
+        assert_eq!((at.contributors, at.last), (2, 2), "full, thin");
+    }
+
+    #[test]
+    fn footprint_and_tile_bound_a_splat() {
+        let mut s = splat(0.9, [1.0; 3], 1.0);
+        s.footprint.x1 = 3;
+        let drawn: Vec<u32> = composite_tile(&[s], &[0], &TILE)
+            .iter()
+            .map(|p| p.contributors)
+            .collect();
+        #[rustfmt::skip]
+        assert_eq!(drawn, [
+            1, 1, 1, 0, 0, 0,
+            1, 1, 1, 0, 0, 0,
+            1, 1, 1, 0, 0, 0,
+        ], "columns 0 to 2");
+    }
+
+    #[test]
+    fn power_of_a_tilted_needle_keeps_its_digits_in_f32() {
+        // Σ' = [100.3, 100; 100, 100.3] px², seen 30 px along its axis: xx yy - xy² = 60.09.
+        let (xx, xy, yy, det) = (100.3f64, 100.0, 100.3, 60.09);
+        let needle = Projected {
+            conic: [yy / det, -xy / det, xx / det],
+            shear: -xy / yy,
+            inv_var_y: 1.0 / yy,
+            ..splat(1.0, [1.0; 3], 1.0)
+        };
+        let narrow = Projected::<f32> {
+            index: 0,
+            mean_px: needle.mean_px.map(Real::to_f32),
+            depth_m: 1.0,
+            conic: needle.conic.map(Real::to_f32),
+            shear: needle.shear.to_f32(),
+            inv_var_y: needle.inv_var_y.to_f32(),
+            sigma_px: [10.0, 10.0],
+            opacity: 1.0,
+            color: [1.0; 3],
+            radius_px: 43,
+            footprint: TILE,
+        };
+        // dᵀ Σ'⁻¹ d = 900 (1/200.3) · 2 along the long axis.
+        let exact = -900.0 / 200.3;
+        assert!((power(&needle, 30.0, 30.0) - exact).abs() < 1e-13, "f64");
+        let error = f64::from(power(&narrow, 30.0f32, 30.0)) - exact;
+        assert!(error.abs() < 1e-5, "f32: {error:e}");
+        let [a, b, c] = narrow.conic;
+        let literal = -0.5 * (a * 900.0 + c * 900.0) - b * 900.0;
+        let error = f64::from(literal) - exact;
+        assert!(error.abs() > 1e-5, "the literal form is worse: {error:e}");
+    }
 }

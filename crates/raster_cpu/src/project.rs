@@ -203,3 +203,67 @@ pub(crate) fn to_index<T: Real>(x: T) -> usize {
 fn saturate<T: Real>(radius: T) -> i32 {
     radius.to_f64() as i32
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn round(variance: f64) -> Covariance2<f64> {
+        Covariance2 {
+            xx: variance,
+            xy: 0.0,
+            yy: variance,
+            det: variance * variance,
+        }
+    }
+
+    #[test]
+    fn radius_by_hand() {
+        // A round splat gets √0.1 on top of its variance: 3 √(1 + 0.316) = 3.44.
+        assert_eq!(saturate(radius(&round(1.0))), 4, "floor of the radicand");
+        // 100 by 4 px²: mid 52, radicand 48², λ = 100, 3 √100 = 30.
+        let long = Covariance2 {
+            xx: 100.0,
+            xy: 0.0,
+            yy: 4.0,
+            det: 400.0,
+        };
+        assert_eq!(saturate(radius(&long)), 30, "three sigma");
+        // The same, turned by 45°: xx = yy = 52, xy = 48.
+        let turned = Covariance2 {
+            xx: 52.0,
+            xy: 48.0,
+            yy: 52.0,
+            det: 400.0,
+        };
+        assert_eq!(saturate(radius(&turned)), 30, "whatever its angle");
+        assert_eq!(saturate(1e30f64), i32::MAX, "saturates");
+    }
+
+    #[test]
+    fn footprints_are_whole_cells() {
+        let at = |u: f64, r: f64| {
+            let f = footprint([u, 8.0], r, [40, 16]);
+            (f.x0, f.x1)
+        };
+        assert_eq!(at(8.0, 4.0), (0, 16), "inside the first cell");
+        assert_eq!(at(8.0, 8.0), (0, 16), "up to its edge");
+        assert_eq!(at(8.0, 9.0), (0, 32), "beyond it: 17 + 15 = 32");
+        assert_eq!(at(20.0, 4.0), (16, 32), "starts on the edge");
+        assert_eq!(at(20.0, 4.5), (0, 32), "or before it");
+        assert_eq!(at(39.0, 5.0), (32, 40), "cut to the picture");
+        assert_eq!(at(8.0, 1e30), (0, 40), "everywhere");
+        // -19 + 4 + 15 = 0: the cell before the first one is the last.
+        assert!(footprint([-19.0, 8.0], 4.0, [40, 16]).is_empty(), "left");
+        assert_eq!(at(-19.0, 20.0), (0, 16), "one pixel in");
+        assert!(footprint([60.0, 8.0], 4.0, [40, 16]).is_empty(), "right");
+    }
+
+    #[test]
+    fn sigmoid_reaches_both_ends() {
+        assert!((sigmoid(0.0f64) - 0.5).abs() < 1e-16, "middle");
+        assert!((sigmoid(-700.0f64)).abs() < 1e-300, "transparent");
+        assert!((sigmoid(f32::NEG_INFINITY)).abs() < 1e-38, "absent");
+        assert!((sigmoid(1000.0f32) - 1.0).abs() < 1e-7, "opaque");
+    }
+}
