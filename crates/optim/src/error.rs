@@ -56,3 +56,14 @@ pub enum OptimError {
         expected: usize,
     },
 }
+
+/// Finite and above 0, or an error with its name.
+pub(crate) fn positive(what: &'static str, index: usize, value: f64) -> Result<(), OptimError> {
+    if !value.is_finite() {
+        Err(OptimError::NotFinite { what, index })
+    } else if value <= 0.0 {
+        Err(OptimError::NotPositive { what, index, value })
+    } else {
+        Ok(())
+    }
+}

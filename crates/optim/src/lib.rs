@@ -2,8 +2,8 @@
 //!
 //! Reading order: [`robust`] (how much a residual pulls) → [`lm`] (the loop) → [`dense`] (problems
 //! of few unknowns, as visitors of residual blocks) and [`solve`] (their linear systems) →
-//! [`reprojection`] (the residual of eq. 11) → [`pose`] (the camera alone). [`check`]
-//! compares any Jacobian with finite differences.
+//! [`reprojection`] (the residual of eq. 11) → [`pose`] (the camera alone) → [`bundle`] (cameras and
+//! points, through a Schur complement). [`check`] compares any Jacobian with finite differences.
 //!
 //! # Example
 //! A camera that stands 10 cm beside where it is believed to be, and four points:
@@ -26,6 +26,7 @@
 //! assert!(error.log().norm() < 1e-6 && solution.n_inliers == 4);
 //! ```
 
+pub mod bundle;
 pub mod check;
 pub mod dense;
 pub mod error;
@@ -33,8 +34,10 @@ pub mod lm;
 pub mod pose;
 pub mod reprojection;
 pub mod robust;
+mod schur;
 pub mod solve;
 
+pub use bundle::{BundleConfig, BundleObservation, BundleReport, optimise_bundle};
 pub use check::check_jacobian;
 pub use error::OptimError;
 pub use lm::{LmConfig, Report, StopReason};

@@ -6,10 +6,10 @@
 //! when it does).
 
 use garad_core::{Camera, Se3};
-use nalgebra::{Matrix6, SVector, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix6, Vector2, Vector3, Vector6};
 
 use crate::dense::{Dense, NormalEquations, Problem, Visitor};
-use crate::error::OptimError;
+use crate::error::{OptimError, positive};
 use crate::lm::{LmConfig, Report, minimise};
 use crate::reprojection::{Intrinsics, MIN_DEPTH_M, Reprojection, pose_jacobian};
 use crate::robust::RobustKernel;
@@ -303,36 +303,13 @@ fn validate(
         positive(what, 0, value)?;
     }
     for (index, o) in observations.iter().enumerate() {
-        let right = o.right.map_or(0.0, |r| r.u_px);
-        let numbers = SVector::<f64, 6>::from([
-            o.p_world.x,
-            o.p_world.y,
-            o.p_world.z,
-            o.uv_px.x,
-            o.uv_px.y,
-            right,
-        ]);
-        if !numbers.iter().all(|v| v.is_finite()) {
+        if !o.p_world.iter().all(|v| v.is_finite()) {
             return Err(OptimError::NotFinite {
-                what: "observation",
+                what: "p_world of observation",
                 index,
             });
         }
-        positive("sigma_px of observation", index, o.sigma_px)?;
-        if let Some(right) = o.right {
-            positive("right sigma_px of observation", index, right.sigma_px)?;
-        }
+        o.reprojection().validate(index)?;
     }
     Ok(())
-}
-
-/// Finite and above 0, or an error with its name.
-pub(crate) fn positive(what: &'static str, index: usize, value: f64) -> Result<(), OptimError> {
-    if !value.is_finite() {
-        Err(OptimError::NotFinite { what, index })
-    } else if value <= 0.0 {
-        Err(OptimError::NotPositive { what, index, value })
-    } else {
-        Ok(())
-    }
 }

@@ -11,6 +11,8 @@
 use garad_core::Camera;
 use nalgebra::{SMatrix, SVector, Vector2, Vector3};
 
+use crate::error::{OptimError, positive};
+
 /// The virtual right coordinate of an observation with depth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RightObservation {
@@ -63,6 +65,21 @@ impl Intrinsics {
 }
 
 impl Reprojection {
+    /// Finite coordinates, positive standard deviations.
+    pub(crate) fn validate(&self, index: usize) -> Result<(), OptimError> {
+        let right = self.right.map_or(0.0, |r| r.u_px);
+        if !(self.uv_px.x.is_finite() && self.uv_px.y.is_finite() && right.is_finite()) {
+            return Err(OptimError::NotFinite {
+                what: "observation",
+                index,
+            });
+        }
+        positive("sigma_px of observation", index, self.sigma_px)?;
+        self.right.map_or(Ok(()), |right| {
+            positive("right sigma_px of observation", index, right.sigma_px)
+        })
+    }
+
     /// (û - u, v̂ - v) / σ of a point in front of the camera.
     #[inline]
     pub(crate) fn residual2(&self, k: &Intrinsics, p_cam: &Vector3<f64>) -> SVector<f64, 2> {

@@ -1,0 +1,319 @@
+//! [`optimise_bundle`]: poses and points together.
+//!
+//! The cost is that of eq. 11, summed over every camera that sees a point, with the points unknown
+//! as well. Poses are moved on the left, exp(ξ) * camera_from_world, points by addition.
+
+use garad_core::{Camera, Se3};
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+use crate::error::{OptimError, positive};
+use crate::lm::{LmConfig, Model, Report, minimise};
+use crate::reprojection::{Intrinsics, MIN_DEPTH_M, Reprojection, RightObservation, pose_jacobian};
+use crate::robust::RobustKernel;
+use crate::schur::{BundleStep, SchurSystem, Structure};
+
+/// A point seen by a camera.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BundleObservation {
+    /// Index of the pose.
+    pub pose: usize,
+    /// Index of the point.
+    pub point: usize,
+    /// Where it was seen, in ideal (undistorted) pixels.
+    pub uv_px: Vector2<f64>,
+    /// Standard deviation of each coordinate, pixels.
+    pub sigma_px: f64,
+    /// Its depth reading, if there is one.
+    pub right: Option<RightObservation>,
+}
+
+/// How a bundle is adjusted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BundleConfig {
+    /// Trials of Levenberg-Marquardt.
+    pub iterations: usize,
+    /// δ² of the Huber kernel of an observation without depth, and the gate that judges it at the
+    /// end: 95 % of χ² with 2 degrees of freedom.
+    pub chi2_2d: f64,
+    /// The same with depth: 3 degrees of freedom.
+    pub chi2_3d: f64,
+    /// Huber, or plain least squares.
+    pub robust: bool,
+    /// Converged when a step promises no more than this part of the cost.
+    pub cost_tolerance: f64,
+}
+
+impl Default for BundleConfig {
+    fn default() -> Self {
+        Self {
+            iterations: 10,
+            chi2_2d: 5.991,
+            chi2_3d: 7.815,
+            robust: true,
+            cost_tolerance: 1e-6,
+        }
+    }
+}
+
+/// How it went, and which observations the result explains.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BundleReport {
+    /// Of the minimisation.
+    pub report: Report,
+    /// Per observation: within the gate and in front of its camera, at the end.
+    pub inlier: Vec<bool>,
+}
+
+/// Adjusts poses and points to what was seen.
+///
+/// F = ½ Σ ρ(‖r(Rₖ pᵢ + tₖ)‖²) over all observations (k, i), ρ Huber's kernel, r as in
+/// [`crate::reprojection`] (E12), by Levenberg-Marquardt with the points eliminated (E13).
+///
+/// # Shapes and units
+/// `poses` and `fixed` [K], `camera_from_world`, m · `points` [N, 3] m · `bf` fx times baseline, px·m
+/// # Numerics
+/// f64, sums in the order of points, then of their observations as given: the same bits on every
+/// machine. The reduced system is dense: time grows as K³ in the free poses.
+///
+/// Fixed poses do not move, nor do points that nobody sees. Observations that start behind their
+/// camera take no part; steps that would bring another one there are rejected. With no
+/// fixed pose the bundle as a whole is held only by the damping.
+///
+/// # Errors
+/// [`OptimError`] for indices out of range, numbers that are not finite, a σ that is not
+/// positive; poses and points are then untouched.
+pub fn optimise_bundle(
+    camera: &Camera,
+    bf: f64,
+    poses: &mut [Se3],
+    fixed: &[bool],
+    points: &mut [Vector3<f64>],
+    observations: &[BundleObservation],
+    config: &BundleConfig,
+) -> Result<BundleReport, OptimError> {
+    validate(bf, poses, fixed, points, observations, config)?;
+    let state = Bundle {
+        poses: poses.to_vec(),
+        points: points.to_vec(),
+    };
+    let model = BundleModel::new(
+        Intrinsics::new(camera, bf),
+        &state,
+        fixed,
+        observations,
+        config,
+    );
+    let lm = LmConfig {
+        iterations: config.iterations,
+        cost_tolerance: config.cost_tolerance,
+        ..LmConfig::default()
+    };
+    let (state, report) = minimise(&&model, state, &lm);
+    poses.copy_from_slice(&state.poses);
+    points.copy_from_slice(&state.points);
+    let inlier = observations
+        .iter()
+        .map(|o| {
+            let gate = match o.right {
+                None => config.chi2_2d,
+                Some(_) => config.chi2_3d,
+            };
+            let p_cam = poses[o.pose] * points[o.point];
+            o.reprojection().chi2(&model.intrinsics, &p_cam) <= gate
+        })
+        .collect();
+    Ok(BundleReport { report, inlier })
+}
+
+/// The unknowns, and the poses that are none.
+#[derive(Debug, Clone, PartialEq)]
+struct Bundle {
+    poses: Vec<Se3>,
+    points: Vec<Vector3<f64>>,
+}
+
+impl BundleObservation {
+    fn reprojection(&self) -> Reprojection {
+        Reprojection {
+            uv_px: self.uv_px,
+            sigma_px: self.sigma_px,
+            right: self.right,
+        }
+    }
+}
+
+struct BundleModel {
+    intrinsics: Intrinsics,
+    kernel2: RobustKernel,
+    kernel3: RobustKernel,
+    /// Index of each free pose.
+    free: Vec<usize>,
+    /// Those that start in front of their camera, grouped by point.
+    observations: Vec<BundleObservation>,
+    structure: Structure,
+}
+
+impl BundleModel {
+    fn new(
+        intrinsics: Intrinsics,
+        start: &Bundle,
+        fixed: &[bool],
+        observations: &[BundleObservation],
+        config: &BundleConfig,
+    ) -> Self {
+        let free: Vec<usize> = (0..fixed.len()).filter(|&k| !fixed[k]).collect();
+        let mut active: Vec<BundleObservation> = observations
+            .iter()
+            .filter(|o| {
+                let p_cam = start.poses[o.pose] * start.points[o.point];
+                o.reprojection().chi2(&intrinsics, &p_cam).is_finite()
+            })
+            .copied()
+            .collect();
+        active.sort_by_key(|o| o.point); // stable: the order within a point stays
+        let structure = Structure {
+            poses: free.len(),
+            start: (0..=start.points.len())
+                .map(|l| active.partition_point(|o| o.point < l))
+                .collect(),
+            pose: active
+                .iter()
+                .map(|o| free.binary_search(&o.pose).ok())
+                .collect(),
+        };
+        let kernel = |chi2: f64| {
+            if config.robust {
+                RobustKernel::Huber { delta: chi2.sqrt() }
+            } else {
+                RobustKernel::None
+            }
+        };
+        Self {
+            intrinsics,
+            kernel2: kernel(config.chi2_2d),
+            kernel3: kernel(config.chi2_3d),
+            free,
+            observations: active,
+            structure,
+        }
+    }
+
+    fn rotations(state: &Bundle) -> Vec<Matrix3<f64>> {
+        state.poses.iter().map(|p| p.rotation.matrix()).collect()
+    }
+}
+
+impl<'a> Model for &'a BundleModel {
+    type State = Bundle;
+    type System = SchurSystem<'a>;
+
+    fn cost(&self, state: &Bundle) -> f64 {
+        let (k, rotations) = (&self.intrinsics, BundleModel::rotations(state));
+        let mut cost = 0.0;
+        for o in &self.observations {
+            let p_cam = rotations[o.pose] * state.points[o.point] + state.poses[o.pose].translation;
+            if p_cam.z < MIN_DEPTH_M {
+                return f64::INFINITY;
+            }
+            let kernel = if o.right.is_none() {
+                self.kernel2
+            } else {
+                self.kernel3
+            };
+            cost += 0.5 * kernel.rho(o.reprojection().chi2(k, &p_cam));
+        }
+        cost
+    }
+
+    fn linearise(&self, state: &Bundle) -> SchurSystem<'a> {
+        let (k, rotations) = (&self.intrinsics, BundleModel::rotations(state));
+        let mut system = SchurSystem::zeros(&self.structure);
+        for (i, o) in self.observations.iter().enumerate() {
+            let rotation = &rotations[o.pose];
+            let p_cam = rotation * state.points[o.point] + state.poses[o.pose].translation;
+            let seen = o.reprojection();
+            let at = (i, o.point);
+            match &o.right {
+                None => {
+                    let r = seen.residual2(k, &p_cam);
+                    let j = seen.point_jacobian2(k, &p_cam);
+                    let weight = self.kernel2.weight(r.norm_squared());
+                    system.cost += 0.5 * self.kernel2.rho(r.norm_squared());
+                    system.add(at, weight, &r, &pose_jacobian(&j, &p_cam), &(j * rotation));
+                }
+                Some(right) => {
+                    let r = seen.residual3(k, right, &p_cam);
+                    let j = seen.point_jacobian3(k, right, &p_cam);
+                    let weight = self.kernel3.weight(r.norm_squared());
+                    system.cost += 0.5 * self.kernel3.rho(r.norm_squared());
+                    system.add(at, weight, &r, &pose_jacobian(&j, &p_cam), &(j * rotation));
+                }
+            }
+        }
+        system
+    }
+
+    fn step(&self, state: &Bundle, step: &BundleStep) -> Bundle {
+        let mut moved = state.clone();
+        for (&k, xi) in self.free.iter().zip(&step.poses) {
+            moved.poses[k] = Se3::exp(xi) * state.poses[k];
+        }
+        for (point, h) in moved.points.iter_mut().zip(&step.points) {
+            *point += h;
+        }
+        moved
+    }
+}
+
+fn validate(
+    bf: f64,
+    poses: &[Se3],
+    fixed: &[bool],
+    points: &[Vector3<f64>],
+    observations: &[BundleObservation],
+    config: &BundleConfig,
+) -> Result<(), OptimError> {
+    if fixed.len() != poses.len() {
+        return Err(OptimError::SizeMismatch {
+            what: "fixed",
+            got: fixed.len(),
+            expected: poses.len(),
+        });
+    }
+    for (what, value) in [
+        ("bf", bf),
+        ("chi2_2d", config.chi2_2d),
+        ("chi2_3d", config.chi2_3d),
+    ] {
+        positive(what, 0, value)?;
+    }
+    if let Some(index) = poses.iter().position(|p| !p.is_finite()) {
+        return Err(OptimError::NotFinite {
+            what: "pose",
+            index,
+        });
+    }
+    if let Some(index) = points.iter().position(|p| !p.iter().all(|v| v.is_finite())) {
+        return Err(OptimError::NotFinite {
+            what: "point",
+            index,
+        });
+    }
+    for (index, o) in observations.iter().enumerate() {
+        for (what, target, count) in [
+            ("pose", o.pose, poses.len()),
+            ("point", o.point, points.len()),
+        ] {
+            if target >= count {
+                return Err(OptimError::OutOfRange {
+                    what,
+                    index,
+                    target,
+                    count,
+                });
+            }
+        }
+        o.reprojection().validate(index)?;
+    }
+    Ok(())
+}
