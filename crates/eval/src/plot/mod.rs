@@ -11,11 +11,13 @@ mod trajectory;
 pub use over_time::{FrameTime, error_over_time, time_per_frame};
 pub use trajectory::{Plane, trajectory_panel, widest_planes};
 
+use std::ops::Range;
+
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use crate::EvalError;
+use crate::{AtePoint, EvalError};
 
 /// Drawing units per CSS pixel.
 const SCALE: i32 = 4;
@@ -32,7 +34,7 @@ pub const ESTIMATE: RGBColor = RGBColor(0x2a, 0x82, 0xc9);
 pub const ALARM: RGBColor = RGBColor(0xe0, 0x6c, 0x1f);
 
 const FONT: &str = "system-ui, sans-serif";
-const TEXT_PX: i32 = 13;
+const TEXT_PX: i32 = 14;
 
 type Canvas<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
@@ -98,13 +100,14 @@ fn legend(canvas: &Canvas<'_>, x: i32, y: i32, keys: &[(Key, String)]) -> Result
         canvas.draw_text(text, &style, (x, y)).map_err(failed)?;
         // Without font files a width is a guess: wide letters, so that keys never touch.
         let letters = i32::try_from(text.chars().count()).unwrap_or(0);
-        x += letters * TEXT_PX * SCALE * 58 / 100 + 18 * SCALE;
+        x += letters * TEXT_PX * SCALE * 54 / 100 + 16 * SCALE;
     }
     Ok(())
 }
 
 const BAND_OPACITY: f64 = 0.22;
 
+/// Line width in half CSS pixels.
 fn stroke(color: &RGBColor, half_px: u32) -> ShapeStyle {
     color.stroke_width(half_px * SCALE.unsigned_abs() / 2)
 }
@@ -141,9 +144,39 @@ fn ticks(px: u32) -> usize {
     (px / 70).clamp(3, 12) as usize
 }
 
+/// Cuts where nothing was judged for five usual intervals: a line across would claim an error.
+fn unbroken(points: &[AtePoint]) -> Vec<Range<usize>> {
+    let mut steps: Vec<f64> = points.windows(2).map(|w| w[1].t_s - w[0].t_s).collect();
+    let cuts: Vec<usize> = {
+        let all = steps.clone();
+        steps.sort_by(f64::total_cmp);
+        let usual = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
+        (0..all.len())
+            .filter(|&i| all[i] > 5.0 * usual)
+            .map(|i| i + 1)
+            .collect()
+    };
+    let starts = std::iter::once(0).chain(cuts.iter().copied());
+    let ends = cuts.iter().copied().chain(std::iter::once(points.len()));
+    starts.zip(ends).map(|(start, end)| start..end).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn holes_break_the_line() {
+        let point = |&t_s: &f64| AtePoint {
+            t_s,
+            ground_truth: nalgebra::Vector3::zeros(),
+            estimate: nalgebra::Vector3::zeros(),
+            error_m: 0.0,
+        };
+        let points: Vec<_> = [0.0, 0.1, 0.2, 0.9, 1.0, 1.1].iter().map(point).collect();
+        assert_eq!(unbroken(&points), [0..3, 3..6], "one hole");
+        assert_eq!(unbroken(&points[..1]), [0..1], "one point");
+    }
 
     #[test]
     fn units_and_ticks_read_well() {

@@ -6,7 +6,7 @@ use plotters::prelude::*;
 
 use super::{
     ALARM, BAND_OPACITY, Canvas, ESTIMATE, GRID, INK, Key, SCALE, TEXT_PX, TRUTH, failed, font,
-    legend, length_unit, stroke, svg, tick_format, ticks,
+    legend, length_unit, stroke, svg, tick_format, ticks, unbroken,
 };
 use crate::{AtePoint, EvalError, Stats};
 
@@ -162,7 +162,7 @@ impl Axes {
         keys: &[(Key, String)],
     ) -> Result<Chart<'a, 'b>, EvalError> {
         let scale = SCALE.unsigned_abs();
-        let (top, bottom, margin) = (28, 44, 14);
+        let (top, bottom, margin) = (30, 42, 14);
         let mut chart = ChartBuilder::on(canvas)
             .margin_top(top * scale)
             .margin_right(margin * scale)
@@ -191,23 +191,6 @@ impl Axes {
     }
 }
 
-/// Cuts where nothing was judged for five usual intervals: a line across would claim an error.
-fn unbroken(points: &[AtePoint]) -> Vec<Range<usize>> {
-    let mut steps: Vec<f64> = points.windows(2).map(|w| w[1].t_s - w[0].t_s).collect();
-    let cuts: Vec<usize> = {
-        let all = steps.clone();
-        steps.sort_by(f64::total_cmp);
-        let usual = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
-        (0..all.len())
-            .filter(|&i| all[i] > 5.0 * usual)
-            .map(|i| i + 1)
-            .collect()
-    };
-    let starts = std::iter::once(0).chain(cuts.iter().copied());
-    let ends = cuts.iter().copied().chain(std::iter::once(points.len()));
-    starts.zip(ends).map(|(start, end)| start..end).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -221,13 +204,6 @@ mod tests {
             error_m: 0.02,
         };
         times.iter().map(point).collect()
-    }
-
-    #[test]
-    fn holes_break_the_line() {
-        let times = [0.0, 0.1, 0.2, 0.9, 1.0, 1.1];
-        assert_eq!(unbroken(&points(&times)), [0..3, 3..6], "one hole");
-        assert_eq!(unbroken(&points(&times[..1])), [0..1], "one point");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::{
     ALARM, ESTIMATE, GRID, INK, Key, SCALE, TEXT_PX, TRUTH, failed, font, legend, length_unit,
-    stroke, svg, tick_format, ticks,
+    stroke, svg, tick_format, ticks, unbroken,
 };
 use crate::{AtePoint, EvalError};
 
@@ -20,8 +20,8 @@ pub struct Plane {
 }
 
 const AXES: [&str; 3] = ["x", "y", "z"];
-const WIDTH: u32 = 480;
-const HEIGHT: u32 = 430;
+const WIDTH: u32 = 440;
+const HEIGHT: u32 = 400;
 /// Shades of error; runs of one shade become one line.
 const SHADES: u8 = 12;
 
@@ -63,7 +63,7 @@ pub fn trajectory_panel(
     let Plane { right, up } = plane;
     let label = format!("trajectory in the {}-{} plane", AXES[right], AXES[up]);
     svg(WIDTH, HEIGHT, &label, |canvas| {
-        let (left, bottom, top, margin) = (56, 46, 48, 14);
+        let (left, bottom, top, margin) = (56, 42, 52, 12);
         let plot_px = (WIDTH - left - margin, HEIGHT - bottom - top);
         let flat = |p: &Vector3<f64>| (p[right], p[up]);
         let both = || points.iter().flat_map(|p| [p.ground_truth, p.estimate]);
@@ -97,12 +97,18 @@ pub fn trajectory_panel(
             .draw()
             .map_err(failed)?;
 
-        let truth = points.iter().map(|p| flat(&p.ground_truth));
-        let line = PathElement::new(truth.collect::<Vec<_>>(), stroke(&TRUTH, 5));
-        chart.draw_series([line]).map_err(failed)?;
+        let stretches = unbroken(points);
+        for stretch in &stretches {
+            let truth = points[stretch.clone()]
+                .iter()
+                .map(|p| flat(&p.ground_truth));
+            let line = PathElement::new(truth.collect::<Vec<_>>(), stroke(&TRUTH, 5));
+            chart.draw_series([line]).map_err(failed)?;
+        }
         let largest_m = points.iter().fold(0.0, |m: f64, p| m.max(p.error_m));
-        for (shade, run) in runs(points, largest_m) {
-            let path: Vec<_> = points[run].iter().map(|p| flat(&p.estimate)).collect();
+        let stretches = stretches.into_iter().map(|stretch| &points[stretch]);
+        for (shade, run) in stretches.flat_map(|stretch| runs(stretch, largest_m)) {
+            let path: Vec<_> = run.iter().map(|p| flat(&p.estimate)).collect();
             let line = PathElement::new(path, stroke(&shade_color(shade), 4));
             chart.draw_series([line]).map_err(failed)?;
         }
@@ -123,7 +129,7 @@ pub fn trajectory_panel(
             (Key::Ring(INK), "start".to_owned()),
         ];
         legend(canvas, left.cast_signed(), 12, &keys)?;
-        error_scale(canvas, left.cast_signed(), 33, largest_m)
+        error_scale(canvas, left.cast_signed(), 36, largest_m)
     })
 }
 
@@ -140,10 +146,11 @@ fn error_scale(
     canvas
         .draw_text("error 0", &style, (x, y))
         .map_err(failed)?;
-    let (first, step) = (x + 50 * SCALE, 8 * SCALE);
+    let (first, step) = (x + 54 * SCALE, 8 * SCALE);
     for shade in 0..SHADES {
         let left = first + i32::from(shade) * step;
-        let corners = [(left, y - 4 * SCALE), (left + step, y + 4 * SCALE)];
+        // One unit of overlap hides the seams.
+        let corners = [(left, y - 4 * SCALE), (left + step + 1, y + 4 * SCALE)];
         let patch = Rectangle::new(corners, shade_color(shade).filled());
         canvas.draw(&patch).map_err(failed)?;
     }
@@ -209,13 +216,13 @@ fn shade_color(shade: u8) -> RGBColor {
 }
 
 /// Maximal runs of one shade, each ending with the first point of the next so that lines meet.
-fn runs(points: &[AtePoint], largest_m: f64) -> Vec<(u8, std::ops::Range<usize>)> {
+fn runs(points: &[AtePoint], largest_m: f64) -> Vec<(u8, &[AtePoint])> {
     let shade = |i: usize| shade_of(points[i].error_m, largest_m);
     let mut runs = Vec::new();
     let mut start = 0;
     for end in 1..=points.len() {
         if end == points.len() || shade(end) != shade(start) {
-            runs.push((shade(start), start..(end + 1).min(points.len())));
+            runs.push((shade(start), &points[start..(end + 1).min(points.len())]));
             start = end;
         }
     }
@@ -259,6 +266,7 @@ mod tests {
         let points: Vec<_> = errors.iter().map(|&e| point(e, [e; 3], e)).collect();
         let runs = runs(&points, 1.0);
         let expected = [(0, 0..3), (10, 2..4), (11, 3..5), (0, 4..5)];
+        let expected = expected.map(|(shade, range)| (shade, &points[range]));
         assert_eq!(runs, expected, "shade and range");
         assert_eq!(shade_color(0), ESTIMATE, "no error");
         assert_eq!(shade_color(SHADES - 1), ALARM, "largest error");

@@ -65,22 +65,17 @@ fn shown(plot: Result<String, EvalError>) -> String {
     plot.unwrap_or_else(|error| note(&format!("No plot: {error}.")))
 }
 
-/// From the first frame without a pose to the first with one again.
+/// From the last frame with a pose to the first with one again.
 fn lost_stretches(frames: &[FrameState]) -> Vec<Range<f64>> {
     let mut stretches = Vec::new();
-    let mut since = None;
-    for frame in frames {
-        match (frame.tracked, since) {
-            (false, None) => since = Some(frame.t_s),
-            (true, Some(start)) => {
-                stretches.push(start..frame.t_s);
-                since = None;
-            }
-            _ => {}
+    let mut first = 0;
+    for run in frames.chunk_by(|a, b| a.tracked == b.tracked) {
+        let end = first + run.len();
+        if !run[0].tracked {
+            let after = frames.get(end).unwrap_or(&frames[end - 1]);
+            stretches.push(frames[first.saturating_sub(1)].t_s..after.t_s);
         }
-    }
-    if let (Some(start), Some(last)) = (since, frames.last()) {
-        stretches.push(start..last.t_s);
+        first = end;
     }
     stretches
 }
@@ -115,4 +110,39 @@ fn ribbon(frames: &[FrameState]) -> String {
          <span><i class=\"tick\"></i>keyframes: {keyframes}</span></p>\n",
         n - lost
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lost_stretches_reach_from_pose_to_pose() {
+        let frames = |states: &[bool]| -> Vec<FrameState> {
+            let frame = |(t_s, &tracked): (f64, &bool)| FrameState {
+                t_s,
+                tracked,
+                keyframe: false,
+                track_ms: None,
+            };
+            let times = (0..).map(f64::from);
+            times.zip(states).map(frame).collect()
+        };
+        let lost = |states: &[bool]| lost_stretches(&frames(states));
+        assert_eq!(
+            lost(&[true, false, false, true]),
+            [0.0..3.0],
+            "in the middle"
+        );
+        assert_eq!(
+            lost(&[false, true, false]),
+            [0.0..1.0, 1.0..2.0],
+            "at both ends"
+        );
+        assert!(
+            lost(&[true, true]).is_empty() && lost(&[]).is_empty(),
+            "never"
+        );
+        assert_eq!(usual_interval_s(&frames(&[true; 4])), Some(1.0), "interval");
+    }
 }
