@@ -1,2 +1,65 @@
 //! The `garad` command line.
-fn main() {}
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+mod commands;
+
+/// Gaussian-splatting SLAM on the CPU that stays correct when people walk through the picture.
+#[derive(Debug, Parser)]
+#[command(name = "garad", version, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Make a small dynamic sequence, run on it, judge and draw the result.
+    Demo(commands::demo::Args),
+    /// Track a TUM or BONN recording (folder, .tgz or .zip) and build its map.
+    Run(commands::run::Args),
+    /// Judge results.
+    #[command(subcommand)]
+    Eval(commands::eval::Command),
+    /// Draw a map from a pose or along a path.
+    Render(commands::render::Args),
+    /// Make a dynamic RGB-D recording with masks and exact poses.
+    Synth(commands::synth::Args),
+}
+
+/// Exit code of bad input or usage.
+const BAD_INPUT: u8 = 2;
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    tracing_subscriber::fmt()
+        .with_writer(std::io::stderr)
+        .with_max_level(log_level())
+        .without_time()
+        .with_target(false)
+        .init();
+    let outcome = match cli.command {
+        Command::Demo(args) => commands::demo::run(&args),
+        Command::Run(args) => commands::run::run(&args),
+        Command::Eval(command) => commands::eval::run(&command),
+        Command::Render(args) => commands::render::run(&args),
+        Command::Synth(args) => commands::synth::run(&args),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::from(BAD_INPUT)
+        }
+    }
+}
+
+/// `GARAD_LOG=debug` shows what happens at each keyframe; nothing it says enters a result.
+fn log_level() -> tracing::Level {
+    std::env::var("GARAD_LOG")
+        .ok()
+        .and_then(|level| level.parse().ok())
+        .unwrap_or(tracing::Level::WARN)
+}

@@ -1,1 +1,29 @@
-//! The GARAD-SLAM pipeline: tracker, local map, keyframes, mapper
+//! The GARAD-SLAM pipeline: the only place that knows the order of stages.
+//!
+//! Frames go in one by one through [`Slam::process`]; out come the camera's path
+//! ([`Slam::trajectory`]), the landmarks and keyframes behind it, and a map of Gaussians
+//! ([`Slam::gaussians`]). Nothing here reads files, clocks or terminals: pictures come as
+//! arguments, timings leave through an [`Observer`].
+//!
+//! Reading order, one frame's way through the code:
+//! [`frame`] (features, ideal pixels, depth at keypoints) → [`matching`] (landmarks found again)
+//! → [`tracker`] (prediction, pose, local map, state) → [`keyframes`] (when to keep a frame, what
+//! it adds, what is thrown out) → [`local_ba`] (poses and landmarks together) → [`seed`]
+//! (Gaussians where the picture is not yet explained). [`recover`] finds a lost camera again.
+
+pub mod config;
+pub mod frame;
+pub mod keyframes;
+pub mod local_ba;
+pub mod map;
+pub mod matching;
+pub mod observer;
+pub mod recover;
+pub mod seed;
+pub mod system;
+pub mod tracker;
+
+pub use config::{Config, ConfigError};
+pub use observer::{Observer, Silent, Stage};
+pub use system::{FrameInput, FrameReport, Slam, SlamError};
+pub use tracker::TrackingState;

@@ -1,0 +1,309 @@
+//! [`Config`]: every number of the pipeline that a user may set, with its reason.
+//!
+//! The defaults are ORB-SLAM's RGB-D values where nothing else is said (Mur-Artal & Tardós 2017,
+//! Campos et al. 2021); what was changed on real recordings is argued in `docs/decisions/`.
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// The whole configuration; a TOML table per field.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Keypoints.
+    pub features: FeatureConfig,
+    /// Pose from matches.
+    pub tracking: TrackingConfig,
+    /// Keyframes and landmarks.
+    pub keyframes: KeyframeConfig,
+    /// Local bundle adjustment.
+    pub local_ba: LocalBaConfig,
+    /// Gaussians from depth.
+    pub seed: SeedConfig,
+    /// What labels do to features.
+    pub labels: LabelConfig,
+}
+
+/// Keypoints and the depth they carry.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FeatureConfig {
+    /// ORB features per frame.
+    pub count: usize,
+    /// Pyramid factor.
+    pub scale: f64,
+    /// Pyramid levels.
+    pub levels: usize,
+    /// FAST threshold, and the one tried where a cell stays empty.
+    pub fast_threshold: u8,
+    /// See `fast_threshold`.
+    pub fast_min_threshold: u8,
+    /// Depth beyond this is not used, metres.
+    pub max_depth_m: f64,
+    /// A keypoint whose 3x3 depths differ by more than this share of its depth sits on an edge:
+    /// its depth may be the background's, so it is used as a direction only.
+    pub edge_ratio: f64,
+}
+
+impl Default for FeatureConfig {
+    fn default() -> Self {
+        Self {
+            count: 1000,
+            scale: 1.2,
+            levels: 8,
+            fast_threshold: 20,
+            fast_min_threshold: 7,
+            max_depth_m: 8.0,
+            edge_ratio: 0.05,
+        }
+    }
+}
+
+/// Tracking: matching radii, distances and the number of matches that count as success.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrackingConfig {
+    /// Hamming distance up to which two descriptors may be the same point.
+    pub match_distance: u32,
+    /// Stricter distance for matches without a predicted place.
+    pub match_distance_strict: u32,
+    /// Radius around the predicted place, px at level 0; doubled once if too few are found.
+    pub motion_radius_px: f64,
+    /// Matches needed from the motion model before a pose is tried.
+    pub motion_min_matches: usize,
+    /// Inliers needed after the motion model or the reference keyframe.
+    pub motion_min_inliers: usize,
+    /// Matches needed with the reference keyframe, and the ratio of best to second distance.
+    pub reference_min_matches: usize,
+    /// See `reference_min_matches`.
+    pub reference_ratio: f32,
+    /// Radius for local-map points seen head on, px at level 0, and for all others.
+    pub local_radius_px: f64,
+    /// See `local_radius_px`.
+    pub local_radius_oblique_px: f64,
+    /// Ratio of best to second distance at the same level in the local map.
+    pub local_ratio: f64,
+    /// Inliers below which the camera is lost, and shortly after it was found again.
+    pub min_inliers: usize,
+    /// See `min_inliers`.
+    pub min_inliers_after_recovery: usize,
+    /// Keyframes in the local map at most.
+    pub max_local_keyframes: usize,
+    /// Virtual stereo: focal length times baseline, px·m.
+    pub bf: f64,
+    /// Standard deviation of the sensor's depth as disparity, px at `bf`. Kinect: σ_z ≈ 1.4e-3 z².
+    pub disparity_sigma_px: f64,
+}
+
+impl Default for TrackingConfig {
+    fn default() -> Self {
+        Self {
+            match_distance: 100,
+            match_distance_strict: 50,
+            motion_radius_px: 15.0,
+            motion_min_matches: 20,
+            motion_min_inliers: 10,
+            reference_min_matches: 15,
+            reference_ratio: 0.7,
+            local_radius_px: 7.5,
+            local_radius_oblique_px: 12.0,
+            local_ratio: 0.8,
+            min_inliers: 30,
+            min_inliers_after_recovery: 50,
+            max_local_keyframes: 80,
+            bf: 40.0,
+            disparity_sigma_px: 0.3,
+        }
+    }
+}
+
+/// When a frame becomes a keyframe, and which landmarks it makes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct KeyframeConfig {
+    /// Keypoints the first frame needs.
+    pub first_min_keypoints: usize,
+    /// Fewer inliers than this share of the reference keyframe's landmarks: new keyframe.
+    pub ref_ratio: f64,
+    /// A frame with fewer inliers than this is too weak to become one.
+    pub min_inliers: usize,
+    /// At most this many frames between two keyframes.
+    pub max_gap: usize,
+    /// At least this many frames between two keyframes.
+    pub min_gap: usize,
+    /// Landmarks nearer than this are made at once, metres (ORB-SLAM: 40 baselines).
+    pub close_m: f64,
+    /// Fewer tracked close points than this, while ...
+    pub close_tracked_min: usize,
+    /// ... more untracked close points than this: new keyframe.
+    pub close_untracked_min: usize,
+    /// At least this many landmarks per keyframe, nearest first.
+    pub min_new_landmarks: usize,
+    /// A landmark found in less than this share of the frames that should see it is dropped.
+    pub found_ratio: f64,
+    /// Observing keyframes a landmark needs two keyframes after its birth.
+    pub min_observations: usize,
+}
+
+impl Default for KeyframeConfig {
+    fn default() -> Self {
+        Self {
+            first_min_keypoints: 100,
+            ref_ratio: 0.75,
+            min_inliers: 15,
+            max_gap: 30,
+            min_gap: 0,
+            close_m: 3.0,
+            close_tracked_min: 100,
+            close_untracked_min: 70,
+            min_new_landmarks: 100,
+            found_ratio: 0.25,
+            min_observations: 2,
+        }
+    }
+}
+
+/// Local bundle adjustment after each keyframe.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LocalBaConfig {
+    /// Off: keyframe poses stay as tracked.
+    pub enabled: bool,
+    /// LM iterations.
+    pub iterations: usize,
+    /// Keyframes whose poses are free at most, nearest in covisibility first.
+    pub max_free: usize,
+    /// Keyframes that see the same landmarks and stay fixed at most.
+    pub max_fixed: usize,
+}
+
+impl Default for LocalBaConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            iterations: 10,
+            max_free: 10,
+            max_fixed: 20,
+        }
+    }
+}
+
+/// Gaussians seeded from a keyframe's depth.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SeedConfig {
+    /// Off: no map is drawn.
+    pub enabled: bool,
+    /// One candidate every so many pixels, each way.
+    pub stride_px: usize,
+    /// Standard deviation as a multiple of the candidate's footprint `stride * z / f`.
+    pub footprint: f64,
+    /// Opacity of a new Gaussian.
+    pub opacity: f64,
+    /// Pixels whose rendered opacity is lower are not yet explained.
+    pub explained_opacity: f64,
+    /// Nor are pixels whose surface lies in front of the rendered one by more than this share.
+    pub depth_ratio: f64,
+    /// Gaussians at most.
+    pub max_gaussians: usize,
+}
+
+impl Default for SeedConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            stride_px: 4,
+            footprint: 0.5,
+            opacity: 0.9,
+            explained_opacity: 0.6,
+            depth_ratio: 0.05,
+            max_gaussians: 400_000,
+        }
+    }
+}
+
+/// What a mask of moving things does.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LabelConfig {
+    /// The mask grows by this radius before it is asked, px: descriptors reach that far.
+    pub dilate_px: usize,
+}
+
+impl Default for LabelConfig {
+    fn default() -> Self {
+        Self { dilate_px: 8 }
+    }
+}
+
+/// A value that cannot be.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// Out of its range.
+    #[error("{key} = {value}: expected {expected}")]
+    OutOfRange {
+        /// Table and key.
+        key: &'static str,
+        /// What it is.
+        value: f64,
+        /// What it may be.
+        expected: &'static str,
+    },
+}
+
+impl Config {
+    /// Checks every value that could make a stage meaningless.
+    ///
+    /// # Errors
+    /// [`ConfigError::OutOfRange`] naming the first one.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let (f, t, s) = (&self.features, &self.tracking, &self.seed);
+        let positive = "a positive number";
+        let share = "a number in (0, 1)";
+        let inside = |low: f64, v: f64, high: f64| v > low && v < high;
+        #[rustfmt::skip]
+        let checks = [
+            ("features.count", f.count as f64, f.count > 0 && f.count <= 100_000, "1..100000"),
+            ("features.scale", f.scale, inside(1.0, f.scale, 4.0), "a number in (1, 4)"),
+            ("features.levels", f.levels as f64, (1..=16).contains(&f.levels), "1..16"),
+            ("features.fast_min_threshold", f64::from(f.fast_min_threshold),
+             f.fast_min_threshold > 0 && f.fast_min_threshold <= f.fast_threshold, "1..fast_threshold"),
+            ("features.max_depth_m", f.max_depth_m, inside(0.0, f.max_depth_m, f64::INFINITY), positive),
+            ("features.edge_ratio", f.edge_ratio, inside(0.0, f.edge_ratio, f64::INFINITY), positive),
+            ("tracking.bf", t.bf, inside(0.0, t.bf, f64::INFINITY), positive),
+            ("tracking.disparity_sigma_px", t.disparity_sigma_px,
+             inside(0.0, t.disparity_sigma_px, f64::INFINITY), positive),
+            ("tracking.motion_radius_px", t.motion_radius_px,
+             inside(0.0, t.motion_radius_px, 1e4), "a number in (0, 10000)"),
+            ("keyframes.max_gap", self.keyframes.max_gap as f64, self.keyframes.max_gap > 0, "at least 1"),
+            ("seed.stride_px", s.stride_px as f64, s.stride_px > 0, "at least 1"),
+            ("seed.footprint", s.footprint, inside(0.0, s.footprint, f64::INFINITY), positive),
+            ("seed.opacity", s.opacity, inside(0.0, s.opacity, 1.0), share),
+        ];
+        for (key, value, good, expected) in checks {
+            if !good {
+                return Err(ConfigError::OutOfRange {
+                    key,
+                    value,
+                    expected,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn defaults_are_valid_and_nan_is_not() {
+        Config::default().validate().expect("defaults");
+        let mut config = Config::default();
+        config.tracking.bf = f64::NAN;
+        let error = config.validate().expect_err("NaN");
+        assert!(error.to_string().contains("tracking.bf"), "{error}");
+    }
+}

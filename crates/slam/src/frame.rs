@@ -1,0 +1,358 @@
+//! [`Frame`]: what tracking needs to know of one picture.
+
+use garad_core::{Camera, DepthImage, FrameId, Label, LandmarkId, MaskImage, Se3};
+use garad_features::{Descriptor, Keypoint};
+use garad_optim::RightObservation;
+use nalgebra::{Vector2, Vector3};
+
+use crate::config::{Config, FeatureConfig};
+
+/// A frame: its features in ideal pixels, their depth, and the landmarks they were found to be.
+#[derive(Debug, Clone)]
+pub struct Frame {
+    /// Position in the recording.
+    pub id: FrameId,
+    /// Colour time stamp, seconds.
+    pub t_s: f64,
+    /// Where the camera is.
+    pub camera_from_world: Se3,
+    /// Keypoints as detected (distorted pixels).
+    pub keypoints: Vec<Keypoint>,
+    /// Their descriptors.
+    pub descriptors: Vec<Descriptor>,
+    /// Where a pinhole would have seen them.
+    pub uv_px: Vec<Vector2<f64>>,
+    /// Metres along z; `None` where the sensor gave none or the point sits on a depth edge.
+    pub depth_m: Vec<Option<f64>>,
+    /// Keypoints on moving things take part in nothing.
+    pub label: Vec<Label>,
+    /// The landmark behind each keypoint.
+    pub landmark: Vec<Option<LandmarkId>>,
+    grid: Grid,
+}
+
+impl Frame {
+    /// Brings detected features to ideal pixels, reads their depth and label.
+    ///
+    /// Keypoints without an inverse under the distortion model, or outside the ideal picture, stay
+    /// in the list (labels on disk count them) but off the grid, so nothing ever matches them.
+    #[must_use]
+    pub fn new(
+        id: FrameId,
+        t_s: f64,
+        keypoints: Vec<Keypoint>,
+        descriptors: Vec<Descriptor>,
+        depth: &DepthImage,
+        mask: Option<&MaskImage>,
+        camera: &Camera,
+        config: &Config,
+    ) -> Self {
+        let outside = Vector2::new(f64::NAN, f64::NAN);
+        let uv_px: Vec<_> = keypoints
+            .iter()
+            .map(|k| {
+                camera
+                    .undistort_pixel(&Vector2::new(f64::from(k.x), f64::from(k.y)))
+                    .unwrap_or(outside)
+            })
+            .collect();
+        let depth_m = keypoints
+            .iter()
+            .map(|k| depth_at(depth, k, &config.features))
+            .collect();
+        let label: Vec<_> = keypoints
+            .iter()
+            .map(|k| mask.map_or(Label::Static, |m| label_at(m, k, config.labels.dilate_px)))
+            .collect();
+        let grid = Grid::new(camera, &uv_px, &label);
+        Self {
+            id,
+            t_s,
+            camera_from_world: Se3::identity(),
+            landmark: vec![None; keypoints.len()],
+            keypoints,
+            descriptors,
+            uv_px,
+            depth_m,
+            label,
+            grid,
+        }
+    }
+
+    /// Number of features.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.keypoints.len()
+    }
+
+    /// No feature at all.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.keypoints.is_empty()
+    }
+
+    /// The camera's centre in the world.
+    #[must_use]
+    pub fn center(&self) -> Vector3<f64> {
+        self.camera_from_world.inverse().translation
+    }
+
+    /// The world point a keypoint with depth sees.
+    #[must_use]
+    pub fn world_point(&self, i: usize, camera: &Camera) -> Option<Vector3<f64>> {
+        let depth = self.depth_m[i]?;
+        Some(self.camera_from_world.inverse() * camera.unproject(&self.uv_px[i], depth))
+    }
+
+    /// The virtual right coordinate u - bf/z of a keypoint with depth, and how far to trust it:
+    /// the keypoint's own uncertainty and the sensor's disparity noise.
+    #[must_use]
+    pub fn right(
+        &self,
+        i: usize,
+        sigma_px: f64,
+        bf: f64,
+        disparity_sigma_px: f64,
+    ) -> Option<RightObservation> {
+        self.depth_m[i].map(|depth| RightObservation {
+            u_px: self.uv_px[i].x - bf / depth,
+            sigma_px: (sigma_px * sigma_px + disparity_sigma_px * disparity_sigma_px).sqrt(),
+        })
+    }
+
+    /// Static keypoints within `radius_px` of a place, at levels `low..=high`, in index order
+    /// within each cell.
+    pub fn near(
+        &self,
+        uv_px: &Vector2<f64>,
+        radius_px: f64,
+        low: i32,
+        high: i32,
+    ) -> impl Iterator<Item = usize> + '_ {
+        let center = *uv_px;
+        self.grid.cells(center, radius_px).filter(move |&i| {
+            let level = i32::from(self.keypoints[i].level);
+            let d = self.uv_px[i] - center;
+            level >= low && level <= high && d.x.abs() < radius_px && d.y.abs() < radius_px
+        })
+    }
+}
+
+/// Depth at a keypoint's nearest pixel; `None` if missing, too far, or on an edge: the valid
+/// depths of the 3x3 pixels around it spread by more than `edge_ratio` of it.
+fn depth_at(depth: &DepthImage, keypoint: &Keypoint, config: &FeatureConfig) -> Option<f64> {
+    let (x, y) = nearest_pixel(keypoint, depth.size())?;
+    let usable = |d: f32| d.is_finite() && d > 0.0 && f64::from(d) <= config.max_depth_m;
+    let center = depth[(x, y)];
+    if !usable(center) {
+        return None;
+    }
+    let (mut low, mut high) = (center, center);
+    for ny in y.saturating_sub(1)..=(y + 1).min(depth.height() - 1) {
+        for nx in x.saturating_sub(1)..=(x + 1).min(depth.width() - 1) {
+            let d = depth[(nx, ny)];
+            if usable(d) {
+                low = low.min(d);
+                high = high.max(d);
+            }
+        }
+    }
+    let spread = f64::from(high - low);
+    (spread <= config.edge_ratio * f64::from(center)).then(|| f64::from(center))
+}
+
+/// Dynamic if any pixel of the square of `radius` around the keypoint moves (255).
+fn label_at(mask: &MaskImage, keypoint: &Keypoint, radius: usize) -> Label {
+    let Some((x, y)) = nearest_pixel(keypoint, mask.size()) else {
+        return Label::Static;
+    };
+    let (right, bottom) = (mask.width() - 1, mask.height() - 1);
+    for ny in y.saturating_sub(radius)..=(y + radius).min(bottom) {
+        let row = &mask.row(ny)[x.saturating_sub(radius)..=(x + radius).min(right)];
+        if row.contains(&255) {
+            return Label::Dynamic;
+        }
+    }
+    Label::Static
+}
+
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "compared with the picture's bounds before the cast"
+)]
+fn nearest_pixel(keypoint: &Keypoint, (width, height): (usize, usize)) -> Option<(usize, usize)> {
+    let (x, y) = ((keypoint.x + 0.5).floor(), (keypoint.y + 0.5).floor());
+    let inside = x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32;
+    inside.then_some((x as usize, y as usize))
+}
+
+/// Keypoints by cell, so that a search looks at its neighbourhood only.
+#[derive(Debug, Clone)]
+struct Grid {
+    columns: usize,
+    rows: usize,
+    /// `start[cell]..start[cell + 1]` into `index`.
+    start: Vec<usize>,
+    index: Vec<usize>,
+}
+
+/// ORB-SLAM's 64 x 48 cells of a 640 x 480 picture.
+const CELL_PX: f64 = 10.0;
+
+impl Grid {
+    fn new(camera: &Camera, uv_px: &[Vector2<f64>], label: &[Label]) -> Self {
+        let columns = cell_of(camera.width as f64, usize::MAX) + 1;
+        let rows = cell_of(camera.height as f64, usize::MAX) + 1;
+        let cell = |i: usize| {
+            let uv = &uv_px[i];
+            (label[i] == Label::Static && camera.contains(uv))
+                .then(|| cell_of(uv.y, rows - 1) * columns + cell_of(uv.x, columns - 1))
+        };
+        // Counting sort: stable, so indices ascend within a cell.
+        let mut start = vec![0; columns * rows + 1];
+        for c in (0..uv_px.len()).filter_map(cell) {
+            start[c + 1] += 1;
+        }
+        for c in 0..columns * rows {
+            start[c + 1] += start[c];
+        }
+        let mut next = start.clone();
+        let mut index = vec![0; start[columns * rows]];
+        for i in 0..uv_px.len() {
+            if let Some(c) = cell(i) {
+                index[next[c]] = i;
+                next[c] += 1;
+            }
+        }
+        Self {
+            columns,
+            rows,
+            start,
+            index,
+        }
+    }
+
+    fn cells(&self, uv: Vector2<f64>, radius: f64) -> impl Iterator<Item = usize> + '_ {
+        let (x0, x1) = (
+            cell_of(uv.x - radius, self.columns - 1),
+            cell_of(uv.x + radius, self.columns - 1),
+        );
+        let (y0, y1) = (
+            cell_of(uv.y - radius, self.rows - 1),
+            cell_of(uv.y + radius, self.rows - 1),
+        );
+        (y0..=y1).flat_map(move |y| {
+            let row = y * self.columns;
+            self.index[self.start[row + x0]..self.start[row + x1 + 1]]
+                .iter()
+                .copied()
+        })
+    }
+}
+
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "float to integer saturates and maps NaN to 0, which is the clamp wanted here"
+)]
+fn cell_of(coordinate: f64, last: usize) -> usize {
+    ((coordinate / CELL_PX) as usize).min(last)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn keypoint(x: f32, y: f32, level: u8) -> Keypoint {
+        Keypoint {
+            x,
+            y,
+            level,
+            angle_deg: 0.0,
+            response: 1.0,
+        }
+    }
+
+    fn frame(points: &[(f32, f32, u8)], depth: &DepthImage, mask: Option<&MaskImage>) -> Frame {
+        let camera = Camera::pinhole(depth.size(), [50.0, 50.0, 31.5, 23.5]).expect("valid camera");
+        let keypoints: Vec<_> = points.iter().map(|&(x, y, l)| keypoint(x, y, l)).collect();
+        let descriptors = vec![Descriptor::default(); keypoints.len()];
+        let mut config = Config::default();
+        config.labels.dilate_px = 2;
+        Frame::new(
+            FrameId(0),
+            0.0,
+            keypoints,
+            descriptors,
+            depth,
+            mask,
+            &camera,
+            &config,
+        )
+    }
+
+    #[test]
+    fn near_finds_what_a_full_search_finds() {
+        let depth = DepthImage::new(64, 48, 1.0);
+        let mut rng = garad_core::Rng::new(1);
+        let points: Vec<_> = (0..300)
+            .map(|_| {
+                (
+                    rng.range(0.0, 63.0) as f32,
+                    rng.range(0.0, 47.0) as f32,
+                    rng.below(4) as u8,
+                )
+            })
+            .collect();
+        let frame = frame(&points, &depth, None);
+        for _ in 0..200 {
+            let uv = Vector2::new(rng.range(-10.0, 74.0), rng.range(-10.0, 58.0));
+            let mut found: Vec<_> = frame.near(&uv, 7.0, 1, 2).collect();
+            found.sort_unstable();
+            let expected: Vec<_> = (0..points.len())
+                .filter(|&i| {
+                    let (x, y, level) = points[i];
+                    (1..=2).contains(&level)
+                        && (f64::from(x) - uv.x).abs() < 7.0
+                        && (f64::from(y) - uv.y).abs() < 7.0
+                })
+                .collect();
+            assert_eq!(found, expected, "around {uv}");
+        }
+    }
+
+    #[test]
+    fn depth_on_an_edge_or_missing_is_no_depth() {
+        let depth = DepthImage::from_fn(64, 48, |x, _| match x {
+            0..=19 => 1.0,
+            20..=39 => 2.0,
+            _ => 0.0,
+        });
+        let frame = frame(
+            &[(10.2, 5.0, 0), (19.6, 5.0, 0), (50.0, 5.0, 0)],
+            &depth,
+            None,
+        );
+        assert_eq!(
+            frame.depth_m,
+            [Some(1.0), None, None],
+            "flat, edge, missing"
+        );
+    }
+
+    #[test]
+    fn moving_keypoints_are_labelled_and_never_matched() {
+        let depth = DepthImage::new(64, 48, 1.0);
+        let mask = MaskImage::from_fn(64, 48, |x, _| if x >= 32 { 255 } else { 0 });
+        let frame = frame(
+            &[(10.0, 9.0, 0), (30.0, 9.0, 0), (40.0, 9.0, 0)],
+            &depth,
+            Some(&mask),
+        );
+        let expected = [Label::Static, Label::Dynamic, Label::Dynamic];
+        assert_eq!(frame.label, expected, "left, within the dilation, inside");
+        let all: Vec<_> = frame.near(&Vector2::new(32.0, 24.0), 100.0, 0, 7).collect();
+        assert_eq!(all, [0], "only the static one can be matched");
+    }
+}

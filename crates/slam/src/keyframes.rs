@@ -1,0 +1,216 @@
+//! Keyframes: when a frame is kept, which landmarks it makes, which are thrown out.
+
+use garad_core::{Camera, KeyframeId, Label, LandmarkId};
+
+use crate::frame::Frame;
+use crate::map::{Map, by_count};
+use crate::system::Slam;
+
+/// χ² at 95 % for 2 and 3 degrees of freedom: the gates of every reprojection test.
+pub const CHI2_2D: f64 = 5.991;
+/// See [`CHI2_2D`].
+pub const CHI2_3D: f64 = 7.815;
+
+impl Slam {
+    /// Should this frame be kept? ORB-SLAM's RGB-D rules, with mapping always ready (the schedule
+    /// is fixed by frame numbers, so there is no queue to ask).
+    pub(crate) fn needs_keyframe(&self, frame: &Frame, inliers: usize) -> bool {
+        let config = &self.config.keyframes;
+        let since_last = frame.id.0 - self.last_keyframe_frame.0;
+        let gap = usize::try_from(since_last).unwrap_or(usize::MAX);
+        if gap < config.min_gap.max(1) || inliers < config.min_inliers {
+            return false;
+        }
+        let close = |i: &usize| frame.depth_m[*i].is_some_and(|d| d < config.close_m);
+        let (tracked, untracked): (Vec<_>, Vec<_>) = (0..frame.len())
+            .filter(close)
+            .filter(|&i| frame.label[i] == Label::Static)
+            .partition(|&i| frame.landmark[i].is_some());
+        let need_close = tracked.len() < config.close_tracked_min
+            && untracked.len() > config.close_untracked_min;
+        let few = (inliers as f64) < config.ref_ratio * self.reference_landmarks() as f64;
+        few || need_close || gap >= config.max_gap
+    }
+
+    /// Landmarks of the reference keyframe that at least two keyframes see (one, while there are
+    /// no more than two keyframes).
+    fn reference_landmarks(&self) -> usize {
+        let needed = if self.map.keyframes().len() <= 2 {
+            1
+        } else {
+            2
+        };
+        self.map
+            .keyframe(self.reference)
+            .landmark
+            .iter()
+            .flatten()
+            .filter_map(|l| self.map.landmark(*l))
+            .filter(|l| l.observations.len() >= needed)
+            .count()
+    }
+
+    /// Adds a keyframe: links become observations, depth becomes landmarks, neighbours' doubles
+    /// become one, and landmarks that did not prove themselves go.
+    pub(crate) fn add_keyframe(&mut self, frame: Frame) -> KeyframeId {
+        self.last_keyframe_frame = frame.id;
+        let id = self.map.add_keyframe(frame);
+        self.reference = id;
+        let linked: Vec<_> = self
+            .map
+            .keyframe(id)
+            .landmark
+            .iter()
+            .flatten()
+            .copied()
+            .collect();
+        for landmark in linked {
+            self.map.refresh(landmark, &self.scales);
+        }
+        self.drop_weak_landmarks(id);
+        let new = self.new_landmarks(id);
+        self.recent.extend(new);
+        fuse_with_neighbours(
+            &mut self.map,
+            id,
+            &self.camera,
+            &self.scales,
+            self.config.tracking.bf,
+        );
+        id
+    }
+
+    /// Landmarks from the depth of keypoints that have none: all that are close, and at least the
+    /// `min_new_landmarks` nearest keypoints in any case.
+    fn new_landmarks(&mut self, id: KeyframeId) -> Vec<LandmarkId> {
+        let config = &self.config.keyframes;
+        let keyframe = self.map.keyframe(id);
+        let mut by_depth: Vec<(f64, usize)> = (0..keyframe.len())
+            .filter(|&i| keyframe.label[i] == Label::Static)
+            .filter_map(|i| Some((keyframe.depth_m[i]?, i)))
+            .collect();
+        by_depth.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let wanted: Vec<_> = by_depth
+            .iter()
+            .enumerate()
+            .take_while(|(rank, (depth, _))| {
+                *depth < config.close_m || *rank < config.min_new_landmarks
+            })
+            .filter(|(_, (_, i))| keyframe.landmark[*i].is_none())
+            .filter_map(|(_, (_, i))| Some((*i, keyframe.world_point(*i, &self.camera)?)))
+            .collect();
+        wanted
+            .into_iter()
+            .map(|(i, p_world)| self.map.add_landmark(p_world, id, i, &self.scales))
+            .collect()
+    }
+
+    /// Drops recent landmarks that are rarely found where they should be, or that no second
+    /// keyframe has seen two keyframes after their birth. Those three keyframes old have passed.
+    fn drop_weak_landmarks(&mut self, now: KeyframeId) {
+        let config = self.config.keyframes.clone();
+        let recent = std::mem::take(&mut self.recent);
+        for id in recent {
+            let Some(landmark) = self.map.landmark(id) else {
+                continue;
+            };
+            let age = now.0 - landmark.born.0;
+            let rarely_found =
+                f64::from(landmark.found) < config.found_ratio * f64::from(landmark.visible);
+            let unconfirmed = age >= 2 && landmark.observations.len() < config.min_observations;
+            if rarely_found || unconfirmed {
+                self.map.drop_landmark(id);
+            } else if age < 3 {
+                self.recent.push(id);
+            }
+        }
+    }
+}
+
+/// Neighbours searched for doubles of a keyframe's landmarks.
+const FUSE_NEIGHBOURS: usize = 10;
+/// Search radius, px at level 0.
+const FUSE_RADIUS_PX: f64 = 3.0;
+/// Hamming distance of doubles.
+const FUSE_DISTANCE: u32 = 50;
+
+/// Projects the landmarks of a keyframe into its neighbours and theirs into it. Where the keypoint
+/// found there has another landmark the two become one; where it has none it becomes an
+/// observation.
+fn fuse_with_neighbours(map: &mut Map, id: KeyframeId, camera: &Camera, scales: &[f64], bf: f64) {
+    let neighbours: Vec<_> = by_count(&map.covisible(id))
+        .into_iter()
+        .take(FUSE_NEIGHBOURS)
+        .collect();
+    let own: Vec<_> = map
+        .keyframe(id)
+        .landmark
+        .iter()
+        .flatten()
+        .copied()
+        .collect();
+    for neighbour in &neighbours {
+        fuse_into(map, &own, *neighbour, camera, scales, bf);
+    }
+    let mut theirs: Vec<_> = neighbours
+        .iter()
+        .flat_map(|k| map.keyframe(*k).landmark.iter().flatten().copied())
+        .collect();
+    theirs.sort_unstable();
+    theirs.dedup();
+    fuse_into(map, &theirs, id, camera, scales, bf);
+}
+
+fn fuse_into(
+    map: &mut Map,
+    landmarks: &[LandmarkId],
+    keyframe: KeyframeId,
+    camera: &Camera,
+    scales: &[f64],
+    bf: f64,
+) {
+    for id in landmarks {
+        let frame = map.keyframe(keyframe);
+        let Some(landmark) = map.landmark(*id) else {
+            continue;
+        };
+        if landmark.observations.iter().any(|(k, _)| *k == keyframe) {
+            continue;
+        }
+        let Some(seen) = map.appearance(landmark, frame, camera, scales) else {
+            continue;
+        };
+        let level = i32::try_from(seen.level).unwrap_or(i32::MAX);
+        let radius = FUSE_RADIUS_PX * scales[seen.level];
+        let best = frame
+            .near(&seen.uv_px, radius, level - 1, level)
+            .filter(|&k| {
+                let sigma = scales[usize::from(frame.keypoints[k].level)];
+                let error = (frame.uv_px[k] - seen.uv_px).norm_squared();
+                match frame.depth_m[k] {
+                    Some(depth) => {
+                        let disparity = bf / depth - bf / seen.depth_m;
+                        error + disparity * disparity <= CHI2_3D * sigma * sigma
+                    }
+                    None => error <= CHI2_2D * sigma * sigma,
+                }
+            })
+            .map(|k| (frame.descriptors[k].distance(&landmark.descriptor), k))
+            .min();
+        let Some((distance, k)) = best else { continue };
+        if distance > FUSE_DISTANCE {
+            continue;
+        }
+        match frame.landmark[k] {
+            Some(other) => {
+                let count = |l: LandmarkId| map.landmark(l).map_or(0, |l| l.observations.len());
+                if count(other) > count(*id) {
+                    map.fuse(other, *id, scales);
+                } else {
+                    map.fuse(*id, other, scales);
+                }
+            }
+            None => map.add_observation(*id, keyframe, k),
+        }
+    }
+}

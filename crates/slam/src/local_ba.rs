@@ -1,0 +1,108 @@
+//! Local bundle adjustment: the newest keyframes and what they see, optimised together
+//! (design section 5, point 1).
+
+use std::collections::BTreeMap;
+
+use garad_core::{KeyframeId, LandmarkId};
+use garad_optim::{BundleConfig, BundleObservation, optimise_bundle};
+
+use crate::map::by_count;
+use crate::system::Slam;
+
+impl Slam {
+    /// Optimises a keyframe, its most covisible neighbours and every landmark they see. Other
+    /// keyframes that see those landmarks hold the gauge; the first keyframe of all never moves.
+    /// Observations that disagree afterwards are erased.
+    pub(crate) fn local_ba(&mut self, newest: KeyframeId) {
+        let config = &self.config.local_ba;
+        let mut free: Vec<KeyframeId> = vec![newest];
+        let neighbours = by_count(&self.map.covisible(newest));
+        free.extend(
+            neighbours
+                .into_iter()
+                .take(config.max_free.saturating_sub(1)),
+        );
+        free.retain(|k| k.0 != 0);
+        let mut landmarks: Vec<LandmarkId> = free
+            .iter()
+            .flat_map(|k| self.map.keyframe(*k).landmark.iter().flatten().copied())
+            .collect();
+        landmarks.sort_unstable();
+        landmarks.dedup();
+        let mut others = self.map.observers(landmarks.iter().copied());
+        for k in &free {
+            others.remove(k);
+        }
+        let fixed: Vec<_> = by_count(&others)
+            .into_iter()
+            .take(config.max_fixed)
+            .collect();
+        if free.is_empty() || fixed.is_empty() || landmarks.is_empty() {
+            return;
+        }
+
+        let keyframes: Vec<KeyframeId> = free.iter().chain(&fixed).copied().collect();
+        let pose_of: BTreeMap<KeyframeId, usize> =
+            keyframes.iter().enumerate().map(|(i, k)| (*k, i)).collect();
+        let mut poses: Vec<_> = keyframes
+            .iter()
+            .map(|k| self.map.keyframe(*k).camera_from_world)
+            .collect();
+        let is_fixed: Vec<_> = (0..keyframes.len()).map(|i| i >= free.len()).collect();
+        let mut points = Vec::new();
+        let mut observations = Vec::new();
+        let mut sources = Vec::new();
+        for id in &landmarks {
+            let Some(landmark) = self.map.landmark(*id) else {
+                continue;
+            };
+            for (keyframe, i) in &landmark.observations {
+                let Some(&pose) = pose_of.get(keyframe) else {
+                    continue;
+                };
+                let seen = self.observation(self.map.keyframe(*keyframe), *i, landmark.p_world);
+                observations.push(BundleObservation {
+                    pose,
+                    point: points.len(),
+                    uv_px: seen.uv_px,
+                    sigma_px: seen.sigma_px,
+                    right: seen.right,
+                });
+                sources.push((*id, *keyframe));
+            }
+            points.push(landmark.p_world);
+        }
+        let bundle = BundleConfig {
+            iterations: config.iterations,
+            ..BundleConfig::default()
+        };
+        let result = optimise_bundle(
+            &self.camera,
+            self.config.tracking.bf,
+            &mut poses,
+            &is_fixed,
+            &mut points,
+            &observations,
+            &bundle,
+        );
+        let Ok(report) = result else {
+            return; // the poses and landmarks of before stay
+        };
+        for (keyframe, pose) in free.iter().zip(&poses) {
+            self.map.keyframe_mut(*keyframe).camera_from_world = *pose;
+        }
+        for (id, p_world) in landmarks.iter().zip(&points) {
+            if let Some(landmark) = self.map.landmark_mut(*id) {
+                landmark.p_world = *p_world;
+            }
+        }
+        for ((id, keyframe), inlier) in sources.into_iter().zip(report.inlier) {
+            if !inlier {
+                self.map.drop_observation(id, keyframe);
+            }
+        }
+        for id in landmarks {
+            self.map.refresh(id, &self.scales);
+        }
+    }
+}

@@ -1,0 +1,53 @@
+//! [`Observer`]: how timings leave a library that knows no clock.
+
+/// A stage of the pipeline, as reports name it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stage {
+    /// Keypoints and descriptors of a new frame.
+    Orb,
+    /// Landmarks of the last frame or a keyframe found in the new one, and the first pose.
+    TrackMotion,
+    /// The local map projected into the frame, and the final pose.
+    TrackLocalMap,
+    /// A lost camera looked for among the keyframes.
+    Recover,
+    /// A keyframe and its landmarks added, weak landmarks dropped.
+    Keyframe,
+    /// Local bundle adjustment.
+    LocalBa,
+    /// Gaussians seeded from a keyframe's depth.
+    Seed,
+}
+
+impl Stage {
+    /// The name in reports and `metrics.json`.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Orb => "orb",
+            Self::TrackMotion => "track_motion",
+            Self::TrackLocalMap => "track_local_map",
+            Self::Recover => "recover",
+            Self::Keyframe => "keyframe",
+            Self::LocalBa => "local_ba",
+            Self::Seed => "seed",
+        }
+    }
+}
+
+/// Is told when a stage begins and ends. Stages do not nest.
+pub trait Observer {
+    /// The stage begins.
+    fn begin(&mut self, stage: Stage);
+    /// The stage is over.
+    fn end(&mut self, stage: Stage);
+}
+
+/// Listens to nothing.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Silent;
+
+impl Observer for Silent {
+    fn begin(&mut self, _: Stage) {}
+    fn end(&mut self, _: Stage) {}
+}

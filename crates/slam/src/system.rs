@@ -1,0 +1,411 @@
+//! [`Slam`]: the state of a run and the order of stages.
+
+use garad_core::{
+    Camera, CameraError, DepthImage, FrameId, GaussianMap, KeyframeId, Label, LandmarkId,
+    MaskImage, Par, RgbImage, Se3, StampedPose,
+};
+use garad_features::{FeatureError, OrbConfig, OrbExtractor};
+use thiserror::Error;
+
+use crate::config::{Config, ConfigError};
+use crate::frame::Frame;
+use crate::map::Map;
+use crate::observer::{Observer, Stage};
+use crate::seed::{Picture, seed_from_depth};
+use crate::tracker::TrackingState;
+
+/// One picture of the recording.
+#[derive(Debug, Clone, Copy)]
+pub struct FrameInput<'a> {
+    /// Time stamp of the colour picture, seconds, ascending.
+    pub t_s: f64,
+    /// Colour.
+    pub rgb: &'a RgbImage,
+    /// Metres along z, registered to colour; 0 and NaN are missing.
+    pub depth: &'a DepthImage,
+    /// 255 where something moves; features there take part in nothing.
+    pub mask: Option<&'a MaskImage>,
+}
+
+/// What became of a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameReport {
+    /// Position in the recording.
+    pub id: FrameId,
+    /// Time stamp, seconds.
+    pub t_s: f64,
+    /// State after the frame.
+    pub state: TrackingState,
+    /// ORB features.
+    pub keypoints: usize,
+    /// Of these on moving things.
+    pub dynamic_keypoints: usize,
+    /// Landmarks that agree with the pose.
+    pub inliers: usize,
+    /// The keyframe it became.
+    pub keyframe: Option<KeyframeId>,
+    /// The pose, as far as known now; later adjustment may still move it.
+    pub camera_from_world: Option<Se3>,
+}
+
+/// What stops a run.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum SlamError {
+    /// The configuration cannot be.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The calibration cannot be.
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    /// A picture whose size is not the camera's.
+    #[error(
+        "frame {frame}: the {what} picture is {got:?} pixels, the calibration says {expected:?}"
+    )]
+    SizeMismatch {
+        /// Which frame.
+        frame: FrameId,
+        /// colour, depth or mask.
+        what: &'static str,
+        /// Its size.
+        got: (usize, usize),
+        /// The calibrated size.
+        expected: (usize, usize),
+    },
+    /// Features could not be found.
+    #[error("frame {frame}: {source}")]
+    Features {
+        /// Which frame.
+        frame: FrameId,
+        /// Why.
+        source: FeatureError,
+    },
+}
+
+/// A frame's pose relative to a keyframe, so that it follows when the keyframe is adjusted.
+#[derive(Debug, Clone, Copy)]
+struct Record {
+    t_s: f64,
+    reference: KeyframeId,
+    frame_from_reference: Se3,
+}
+
+/// A run of the system.
+#[derive(Debug)]
+pub struct Slam {
+    pub(crate) camera: Camera,
+    pub(crate) config: Config,
+    pub(crate) scales: Vec<f64>,
+    pub(crate) seed: u64,
+    pub(crate) map: Map,
+    pub(crate) last: Option<Frame>,
+    pub(crate) velocity: Option<Se3>,
+    pub(crate) reference: KeyframeId,
+    pub(crate) last_keyframe_frame: FrameId,
+    pub(crate) recent: Vec<LandmarkId>,
+    extractor: OrbExtractor,
+    gaussians: GaussianMap,
+    state: TrackingState,
+    recovered_at: Option<FrameId>,
+    next_frame: FrameId,
+    records: Vec<Record>,
+    pub(crate) par: Par,
+}
+
+/// Frames after a recovery that need more inliers: about a second.
+const CAREFUL_FRAMES: u32 = 30;
+
+impl Slam {
+    /// An empty map, waiting for its first frame.
+    ///
+    /// # Errors
+    /// [`SlamError::Config`] or [`SlamError::Camera`] for values that cannot be.
+    pub fn new(camera: Camera, config: Config, seed: u64, par: Par) -> Result<Self, SlamError> {
+        config.validate()?;
+        camera.validate()?;
+        let features = &config.features;
+        let mut scales = vec![1.0];
+        for _ in 1..features.levels {
+            scales.push(scales[scales.len() - 1] * features.scale);
+        }
+        #[allow(
+            clippy::cast_possible_truncation,
+            reason = "1.2 as the f32 it is defined in"
+        )]
+        let scale = features.scale as f32;
+        let extractor = OrbExtractor::new(OrbConfig {
+            features: features.count,
+            scale,
+            levels: features.levels,
+            threshold: features.fast_threshold,
+            min_threshold: features.fast_min_threshold,
+            ..OrbConfig::default()
+        })
+        .map_err(|source| SlamError::Features {
+            frame: FrameId(0),
+            source,
+        })?;
+        Ok(Self {
+            camera,
+            config,
+            scales,
+            seed,
+            map: Map::default(),
+            last: None,
+            velocity: None,
+            reference: KeyframeId(0),
+            last_keyframe_frame: FrameId(0),
+            recent: Vec::new(),
+            extractor,
+            gaussians: GaussianMap::new(0),
+            state: TrackingState::NotInitialised,
+            recovered_at: None,
+            next_frame: FrameId(0),
+            records: Vec::new(),
+            par,
+        })
+    }
+
+    /// Takes the next frame through tracking and, if it is kept, mapping.
+    ///
+    /// A frame that cannot be tracked is not an error: the state turns to
+    /// [`TrackingState::Lost`], and later frames are looked for among the keyframes.
+    ///
+    /// # Errors
+    /// [`SlamError::SizeMismatch`] or [`SlamError::Features`]; the state before the frame stays,
+    /// and the next frame may be given.
+    pub fn process(
+        &mut self,
+        input: &FrameInput<'_>,
+        observer: &mut dyn Observer,
+    ) -> Result<FrameReport, SlamError> {
+        let id = self.next_frame;
+        self.next_frame = FrameId(id.0 + 1);
+        self.check_sizes(id, input)?;
+
+        observer.begin(Stage::Orb);
+        let found = self.extractor.extract(&input.rgb.to_gray(), self.par);
+        observer.end(Stage::Orb);
+        let features = found.map_err(|source| SlamError::Features { frame: id, source })?;
+        let mut frame = Frame::new(
+            id,
+            input.t_s,
+            features.keypoints,
+            features.descriptors,
+            input.depth,
+            input.mask,
+            &self.camera,
+            &self.config,
+        );
+
+        let inliers = match self.state {
+            TrackingState::NotInitialised => self.initialise(&mut frame),
+            TrackingState::Tracking | TrackingState::Lost => self.track(&mut frame, observer),
+        };
+        let mut report = FrameReport {
+            id,
+            t_s: input.t_s,
+            state: self.state,
+            keypoints: frame.len(),
+            dynamic_keypoints: frame.label.iter().filter(|l| **l == Label::Dynamic).count(),
+            inliers,
+            keyframe: None,
+            camera_from_world: None,
+        };
+        if self.state == TrackingState::Tracking {
+            // Before any adjustment: both poses of the difference stand on the same map.
+            self.velocity = self.velocity_to(&frame);
+            if self.map.keyframes().is_empty() || self.needs_keyframe(&frame, inliers) {
+                let keyframe = self.keep(frame.clone(), input, observer);
+                report.keyframe = Some(keyframe);
+                // The adjusted keyframe is what the next frame starts from.
+                frame = self.map.keyframe(keyframe).clone();
+            }
+            let reference = self.map.keyframe(self.reference);
+            self.records.push(Record {
+                t_s: input.t_s,
+                reference: self.reference,
+                frame_from_reference: frame.camera_from_world
+                    * reference.camera_from_world.inverse(),
+            });
+            report.camera_from_world = Some(frame.camera_from_world);
+            self.last = Some(frame);
+        }
+        Ok(report)
+    }
+
+    /// The path so far: every tracked frame, moved along with its adjusted keyframe.
+    #[must_use]
+    pub fn trajectory(&self) -> Vec<StampedPose> {
+        self.records
+            .iter()
+            .map(|r| StampedPose {
+                t_s: r.t_s,
+                world_from_camera: (r.frame_from_reference
+                    * self.map.keyframe(r.reference).camera_from_world)
+                    .inverse(),
+            })
+            .collect()
+    }
+
+    /// The keyframes' poses.
+    #[must_use]
+    pub fn keyframe_trajectory(&self) -> Vec<StampedPose> {
+        self.map
+            .keyframes()
+            .iter()
+            .map(|k| StampedPose {
+                t_s: k.t_s,
+                world_from_camera: k.camera_from_world.inverse(),
+            })
+            .collect()
+    }
+
+    /// Landmarks and keyframes.
+    #[must_use]
+    pub fn map(&self) -> &Map {
+        &self.map
+    }
+
+    /// The map of Gaussians.
+    #[must_use]
+    pub fn gaussians(&self) -> &GaussianMap {
+        &self.gaussians
+    }
+
+    /// The last tracked frame, with the landmarks its keypoints were linked to.
+    #[must_use]
+    pub fn last_frame(&self) -> Option<&Frame> {
+        self.last.as_ref()
+    }
+
+    /// The camera.
+    #[must_use]
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// The configuration.
+    #[must_use]
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
+    fn check_sizes(&self, frame: FrameId, input: &FrameInput<'_>) -> Result<(), SlamError> {
+        let expected = (self.camera.width, self.camera.height);
+        let sizes = [
+            ("colour", Some(input.rgb.size())),
+            ("depth", Some(input.depth.size())),
+            ("mask", input.mask.map(MaskImage::size)),
+        ];
+        for (what, got) in sizes {
+            if let Some(got) = got.filter(|g| *g != expected) {
+                return Err(SlamError::SizeMismatch {
+                    frame,
+                    what,
+                    got,
+                    expected,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// The first frame with enough depth is the world.
+    fn initialise(&mut self, frame: &mut Frame) -> usize {
+        let usable = (0..frame.len())
+            .filter(|&i| frame.depth_m[i].is_some() && frame.label[i] == Label::Static)
+            .count();
+        if usable < self.config.keyframes.first_min_keypoints {
+            return 0;
+        }
+        frame.camera_from_world = Se3::identity();
+        self.state = TrackingState::Tracking;
+        usable
+    }
+
+    /// Motion model, then reference keyframe (or, when lost, all keyframes), then local map.
+    fn track(&mut self, frame: &mut Frame, observer: &mut dyn Observer) -> usize {
+        let was_lost = self.state == TrackingState::Lost;
+        let first_pose = if was_lost {
+            observer.begin(Stage::Recover);
+            let found = self.recover(frame);
+            observer.end(Stage::Recover);
+            found
+        } else {
+            observer.begin(Stage::TrackMotion);
+            let found = self.track_motion(frame) || self.track_reference(frame);
+            observer.end(Stage::TrackMotion);
+            found
+        };
+        let config = &self.config.tracking;
+        let careful = was_lost
+            || self
+                .recovered_at
+                .is_some_and(|at| frame.id.0 - at.0 < CAREFUL_FRAMES);
+        let needed = if careful {
+            config.min_inliers_after_recovery
+        } else {
+            config.min_inliers
+        };
+        let mut inliers = 0;
+        if first_pose {
+            observer.begin(Stage::TrackLocalMap);
+            inliers = self.track_local_map(frame);
+            observer.end(Stage::TrackLocalMap);
+        }
+        if inliers >= needed {
+            if was_lost {
+                self.recovered_at = Some(frame.id);
+                tracing::info!(frame = frame.id.0, inliers, "recovered");
+            }
+            self.state = TrackingState::Tracking;
+        } else {
+            if !was_lost {
+                tracing::info!(frame = frame.id.0, inliers, "lost");
+            }
+            self.state = TrackingState::Lost;
+            self.velocity = None;
+        }
+        inliers
+    }
+
+    /// Keeps a frame: landmarks, bundle adjustment, Gaussians.
+    fn keep(
+        &mut self,
+        frame: Frame,
+        input: &FrameInput<'_>,
+        observer: &mut dyn Observer,
+    ) -> KeyframeId {
+        observer.begin(Stage::Keyframe);
+        let id = self.add_keyframe(frame);
+        observer.end(Stage::Keyframe);
+        if self.config.local_ba.enabled {
+            observer.begin(Stage::LocalBa);
+            self.local_ba(id);
+            observer.end(Stage::LocalBa);
+        }
+        if self.config.seed.enabled {
+            observer.begin(Stage::Seed);
+            let picture = Picture {
+                rgb: input.rgb,
+                depth: input.depth,
+                mask: input.mask,
+            };
+            let pose = self.map.keyframe(id).camera_from_world;
+            let added = seed_from_depth(
+                &mut self.gaussians,
+                &picture,
+                &self.camera,
+                &pose,
+                id,
+                &self.config.seed,
+                self.config.features.max_depth_m,
+                self.par,
+            );
+            observer.end(Stage::Seed);
+            tracing::debug!(keyframe = id.0, added, "seeded");
+        }
+        id
+    }
+}

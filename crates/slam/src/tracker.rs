@@ -1,0 +1,205 @@
+//! Tracking: from a predicted pose to an optimised one (design section 4, paper eq. 11).
+//!
+//! | step | input | output |
+//! |---|---|---|
+//! | [`Slam::track_motion`] | constant velocity, the last frame's landmarks | first pose |
+//! | [`Slam::track_reference`] | the reference keyframe's descriptors, if that failed | first pose |
+//! | [`Slam::track_local_map`] | everything the neighbourhood's keyframes see | final pose |
+
+use garad_core::{Label, LandmarkId, Se3};
+use garad_optim::{PoseConfig, PoseObservation, optimise_pose};
+
+use crate::frame::Frame;
+use crate::map::by_count;
+use crate::matching::Matcher;
+use crate::system::Slam;
+
+/// What the tracker knows about where it is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum TrackingState {
+    /// No frame with enough depth yet.
+    NotInitialised,
+    /// The pose is good.
+    Tracking,
+    /// No pose: the camera is looked for among the keyframes.
+    Lost,
+}
+
+impl TrackingState {
+    /// The word in reports.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::NotInitialised => "not initialised",
+            Self::Tracking => "tracking",
+            Self::Lost => "lost",
+        }
+    }
+}
+
+impl Slam {
+    pub(crate) fn matcher(&self) -> Matcher<'_> {
+        Matcher {
+            camera: &self.camera,
+            config: &self.config.tracking,
+            scales: &self.scales,
+            par: self.par,
+        }
+    }
+
+    /// First pose from the last frame's landmarks, searched where constant velocity puts them.
+    pub(crate) fn track_motion(&self, frame: &mut Frame) -> bool {
+        let (Some(last), Some(velocity)) = (&self.last, self.velocity) else {
+            return false;
+        };
+        let config = &self.config.tracking;
+        let predicted = velocity * last.camera_from_world;
+        for factor in [1.0, 2.0] {
+            frame.camera_from_world = predicted;
+            frame.landmark.fill(None);
+            let radius = factor * config.motion_radius_px;
+            let matches = self
+                .matcher()
+                .from_last_frame(&self.map, last, frame, radius);
+            if matches >= config.motion_min_matches {
+                return self.optimise(frame) >= config.motion_min_inliers;
+            }
+        }
+        false
+    }
+
+    /// First pose from the reference keyframe's landmarks, found by descriptor, starting at the
+    /// last pose.
+    pub(crate) fn track_reference(&self, frame: &mut Frame) -> bool {
+        let Some(last) = &self.last else { return false };
+        let config = &self.config.tracking;
+        frame.camera_from_world = last.camera_from_world;
+        frame.landmark.fill(None);
+        let reference = self.map.keyframe(self.reference);
+        let matches = self.matcher().from_keyframe(&self.map, reference, frame);
+        matches >= config.reference_min_matches && self.optimise(frame) >= config.motion_min_inliers
+    }
+
+    /// Final pose: links every landmark of the local map that can be found in the frame and
+    /// optimises over all of them. Returns the number of inliers.
+    ///
+    /// The local map is what these keyframes see: those that observe the frame's landmarks, and
+    /// the ten most covisible of each, up to `max_local_keyframes`.
+    pub(crate) fn track_local_map(&mut self, frame: &mut Frame) -> usize {
+        let mut linked: Vec<_> = frame.landmark.iter().flatten().copied().collect();
+        linked.sort_unstable();
+        let votes = self.map.observers(linked.iter().copied());
+        let mut local = by_count(&votes);
+        if let Some(most) = local.first() {
+            self.reference = *most;
+        }
+        for keyframe in local.clone() {
+            if local.len() >= self.config.tracking.max_local_keyframes {
+                break;
+            }
+            let neighbours = by_count(&self.map.covisible(keyframe));
+            if let Some(next) = neighbours.iter().take(10).find(|k| !local.contains(k)) {
+                local.push(*next);
+            }
+        }
+        let mut ids: Vec<LandmarkId> = local
+            .iter()
+            .flat_map(|k| self.map.keyframe(*k).landmark.iter().flatten().copied())
+            .collect();
+        ids.sort_unstable();
+        ids.dedup();
+
+        let mut visible = Vec::new();
+        for id in ids {
+            let already_linked = linked.binary_search(&id).is_ok();
+            let Some(landmark) = self.map.landmark(id) else {
+                continue;
+            };
+            let seen = self
+                .map
+                .appearance(landmark, frame, &self.camera, &self.scales);
+            if already_linked || seen.is_some() {
+                if let Some(landmark) = self.map.landmark_mut(id) {
+                    landmark.visible += 1;
+                }
+            }
+            if let Some(seen) = seen.filter(|_| !already_linked) {
+                visible.push((id, seen));
+            }
+        }
+        self.matcher().from_local_map(&self.map, &visible, frame);
+        let inliers = self.optimise(frame);
+        for id in frame.landmark.iter().flatten() {
+            if let Some(landmark) = self.map.landmark_mut(*id) {
+                landmark.found += 1;
+            }
+        }
+        inliers
+    }
+
+    /// Optimises the frame's pose over its links (eq. 11) and unlinks the outliers. Returns the
+    /// number of inliers; 0 leaves the pose as it was.
+    pub(crate) fn optimise(&self, frame: &mut Frame) -> usize {
+        let mut keypoints = Vec::new();
+        let mut observations = Vec::new();
+        for i in 0..frame.len() {
+            let Some(landmark) = frame.landmark[i].and_then(|l| self.map.landmark(l)) else {
+                frame.landmark[i] = None;
+                continue;
+            };
+            debug_assert_eq!(
+                frame.label[i],
+                Label::Static,
+                "only static keypoints are linked"
+            );
+            keypoints.push(i);
+            observations.push(self.observation(frame, i, landmark.p_world));
+        }
+        let config = PoseConfig {
+            bf: self.config.tracking.bf,
+            ..PoseConfig::default()
+        };
+        let solution = optimise_pose(
+            &self.camera,
+            &observations,
+            &frame.camera_from_world,
+            &config,
+        );
+        match solution {
+            Ok(solution) if solution.camera_from_world.is_finite() => {
+                frame.camera_from_world = solution.camera_from_world;
+                for (&i, inlier) in keypoints.iter().zip(&solution.inlier) {
+                    if !inlier {
+                        frame.landmark[i] = None;
+                    }
+                }
+                solution.n_inliers
+            }
+            _ => 0,
+        }
+    }
+
+    /// Keypoint i of a frame as an observation of a point: σ = 1.2^level px, depth as disparity.
+    pub(crate) fn observation(
+        &self,
+        frame: &Frame,
+        i: usize,
+        p_world: nalgebra::Vector3<f64>,
+    ) -> PoseObservation {
+        let sigma_px = self.scales[usize::from(frame.keypoints[i].level)];
+        let config = &self.config.tracking;
+        PoseObservation {
+            p_world,
+            uv_px: frame.uv_px[i],
+            sigma_px,
+            right: frame.right(i, sigma_px, config.bf, config.disparity_sigma_px),
+        }
+    }
+
+    /// The motion from the last frame to this one, which the next is expected to repeat. `None`
+    /// across a gap.
+    pub(crate) fn velocity_to(&self, frame: &Frame) -> Option<Se3> {
+        let last = self.last.as_ref().filter(|l| l.id.0 + 1 == frame.id.0)?;
+        Some(frame.camera_from_world * last.camera_from_world.inverse())
+    }
+}

@@ -1,0 +1,85 @@
+//! `garad demo`: a small dynamic sequence made, run, judged and drawn. Nothing to download.
+
+use std::path::PathBuf;
+use std::sync::mpsc::sync_channel;
+
+use anyhow::Result;
+use garad::output::{self, Judged};
+use garad::runner::{self, SourceFrame};
+use garad_core::Par;
+use garad_synth::{Scene, SceneConfig, SceneName};
+
+use super::{CommonArgs, say};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(flatten)]
+    common: CommonArgs,
+    /// Which scene; `garad synth --help` lists them.
+    #[arg(long, default_value_t = SceneName::Walking)]
+    scene: SceneName,
+    /// Frames of the sequence.
+    #[arg(long, default_value_t = 75)]
+    frames: usize,
+    /// Use no labels: people are taken for part of the room.
+    #[arg(long)]
+    without_labels: bool,
+}
+
+/// Frames made ahead of tracking.
+const AHEAD: usize = 2;
+
+pub(crate) fn run(args: &Args) -> Result<()> {
+    let scene = Scene::new(&SceneConfig {
+        frames: args.frames,
+        noise: true,
+        seed: args.common.seed.wrapping_add(1),
+        ..SceneConfig::new(args.scene)
+    })?;
+    let name = format!("demo_{}", args.scene);
+    if !args.common.quiet {
+        let labels = if args.without_labels {
+            "no labels"
+        } else {
+            "the scene's own labels"
+        };
+        say(&format!(
+            "{name}: {} frames, Kinect-like noise, {labels}",
+            args.frames
+        ));
+    }
+    let options = args.common.run_options(false)?;
+    let camera = scene.camera();
+    let result = std::thread::scope(|scope| {
+        let (sender, receiver) = sync_channel(AHEAD);
+        let scene = &scene;
+        scope.spawn(move || {
+            for i in 0..scene.len() {
+                let frame = scene.frame(i, Par::Seq);
+                let frame = SourceFrame {
+                    t_s: frame.t_s,
+                    rgb: frame.rgb,
+                    depth: frame.depth,
+                    mask: (!args.without_labels).then_some(frame.mask),
+                };
+                if sender.send(Ok(frame)).is_err() {
+                    return; // the run ended early
+                }
+            }
+        });
+        runner::run(&camera, receiver.into_iter(), scene.len(), &options)
+    })?;
+    let ground_truth = scene.trajectory();
+    let judged = Judged::new(&name, &result, Some(&ground_truth), "exact ground truth");
+    let out = args
+        .common
+        .out
+        .clone()
+        .unwrap_or_else(|| PathBuf::from("out").join(&name));
+    output::write(&out, &result, &judged, &[])?;
+    for line in judged.summary() {
+        say(&line);
+    }
+    say(&format!("look at   {}", out.join("report.html").display()));
+    Ok(())
+}

@@ -1,0 +1,136 @@
+//! `garad eval`: results judged.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use clap::{Args, Subcommand, ValueEnum};
+use garad_core::StampedPose;
+use garad_eval::plot::{trajectory_panel, widest_planes};
+use garad_eval::{Alignment, AteOptions, RpeDelta, RpeOptions, Stats, ate, rpe};
+
+use super::say;
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Absolute and relative trajectory error of an estimate.
+    Trajectory(TrajectoryArgs),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct TrajectoryArgs {
+    /// Ground truth, TUM format.
+    ground_truth: PathBuf,
+    /// Estimate, TUM format.
+    estimate: PathBuf,
+    /// Largest time difference of a pair, seconds.
+    #[arg(long, default_value_t = garad_eval::MAX_DT_S)]
+    max_dt: f64,
+    /// What may be adjusted before errors are measured.
+    #[arg(long, value_enum, default_value_t = Align::Rigid)]
+    align: Align,
+    /// Interval of the relative error, seconds.
+    #[arg(long, default_value_t = 1.0)]
+    rpe_delta: f64,
+    /// Figures as JSON instead of a table.
+    #[arg(long)]
+    json: bool,
+    /// Also draws the two paths into this SVG file.
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Align {
+    /// Nothing.
+    None,
+    /// Rotation and translation.
+    Rigid,
+    /// Rotation, translation and scale.
+    Sim3,
+}
+
+pub(crate) fn run(command: &Command) -> Result<()> {
+    match command {
+        Command::Trajectory(args) => trajectory(args),
+    }
+}
+
+fn trajectory(args: &TrajectoryArgs) -> Result<()> {
+    let ground_truth = read(&args.ground_truth)?;
+    let estimate = read(&args.estimate)?;
+    let options = AteOptions {
+        alignment: match args.align {
+            Align::None => Alignment::None,
+            Align::Rigid => Alignment::Rigid,
+            Align::Sim3 => Alignment::Similarity,
+        },
+        max_dt_s: args.max_dt,
+    };
+    let judged = ate(&ground_truth, &estimate, &options).with_context(|| {
+        format!(
+            "{} against {}",
+            args.estimate.display(),
+            args.ground_truth.display()
+        )
+    })?;
+    let relative = rpe(
+        &ground_truth,
+        &estimate,
+        &RpeOptions {
+            delta: RpeDelta::Seconds(args.rpe_delta),
+            max_dt_s: args.max_dt,
+        },
+    );
+    if let Some(path) = &args.plot {
+        let [plane, _] = widest_planes(&judged.points);
+        let svg = trajectory_panel(&judged.points, plane, &[])?;
+        std::fs::write(path, svg)
+            .with_context(|| format!("{}: cannot write the plot", path.display()))?;
+    }
+    if args.json {
+        let figures = serde_json::json!({
+            "protocol": options.describe(),
+            "ate": to_json(&judged.stats),
+            "rpe": relative.as_ref().ok().map(|r| serde_json::json!({
+                "interval_s": args.rpe_delta,
+                "trans_m": to_json(&r.trans_m),
+                "rot_deg": to_json(&r.rot_deg),
+            })),
+        });
+        say(&serde_json::to_string_pretty(&figures)?);
+        return Ok(());
+    }
+    say(&format!(
+        "protocol   {}, {} pairs",
+        options.describe(),
+        judged.stats.pairs
+    ));
+    say(&format!("ATE [m]    {}", row(&judged.stats)));
+    match relative {
+        Ok(relative) => {
+            let per = format!("per {} s", args.rpe_delta);
+            say(&format!("RPE [m]    {}  {per}", row(&relative.trans_m)));
+            say(&format!("RPE [deg]  {}  {per}", row(&relative.rot_deg)));
+        }
+        Err(error) => say(&format!("RPE        cannot be judged: {error}")),
+    }
+    Ok(())
+}
+
+fn read(path: &std::path::Path) -> Result<Vec<StampedPose>> {
+    Ok(garad_dataset::read_trajectory(path)?)
+}
+
+fn row(s: &Stats) -> String {
+    format!(
+        "rmse {:.6}  mean {:.6}  median {:.6}  std {:.6}  min {:.6}  max {:.6}",
+        s.rmse, s.mean, s.median, s.std, s.min, s.max
+    )
+}
+
+fn to_json(s: &Stats) -> serde_json::Value {
+    serde_json::json!({
+        "rmse": s.rmse, "mean": s.mean, "median": s.median, "std": s.std,
+        "min": s.min, "max": s.max, "sse": s.sse, "pairs": s.pairs,
+    })
+}

@@ -1,0 +1,148 @@
+//! `garad run`: a recording tracked, mapped and judged.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
+use garad::output::{self, Judged};
+use garad::runner::{self, SourceFrame};
+use garad_dataset::{Dataset, Frame, OpenOptions, Preset, bonn_camera_from_marker};
+
+use super::{CommonArgs, say};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Folder, .tgz, .tar or .zip in TUM or BONN layout.
+    dataset: PathBuf,
+    #[command(flatten)]
+    common: CommonArgs,
+    #[command(flatten)]
+    input: InputArgs,
+    /// True masks (255 moving) named by colour time stamp; a relative folder that does not exist
+    /// here is looked for inside the recording.
+    #[arg(long, value_name = "DIR")]
+    oracle_labels: Option<PathBuf>,
+    /// Which ground truth to judge by. BONN records a marker on the camera; published figures
+    /// are against those raw poses.
+    #[arg(long, value_enum, default_value_t = GroundTruth::Raw)]
+    ground_truth: GroundTruth,
+}
+
+#[derive(Debug, clap::Args)]
+struct InputArgs {
+    /// Calibration by name: freiburg1, freiburg2, freiburg3, bonn.
+    #[arg(long)]
+    preset: Option<Preset>,
+    /// Calibration file: `width height fx fy cx cy depth_factor fps [k1 k2 p1 p2 k3]`.
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
+    /// Stop after this many frames.
+    #[arg(long, value_name = "N")]
+    max_frames: Option<usize>,
+    /// Leave out this many frames first.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    first_frame: usize,
+    /// Stop at the first bad frame or disordered time instead of skipping it.
+    #[arg(long)]
+    strict: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum GroundTruth {
+    /// As recorded.
+    Raw,
+    /// BONN only: moved from the marker to the camera.
+    Camera,
+}
+
+/// Frames decoded ahead of tracking.
+const PREFETCH: usize = 4;
+
+pub(crate) fn run(args: &Args) -> Result<()> {
+    let options = OpenOptions {
+        preset: args.input.preset,
+        calibration: args.input.calibration.clone(),
+        max_frames: args.input.max_frames,
+        first_frame: args.input.first_frame,
+        strict: args.input.strict,
+        ..OpenOptions::default()
+    };
+    let dataset = Dataset::open(&args.dataset, &options)?;
+    if !args.common.quiet {
+        say(&format!(
+            "{}: {} frames, camera from {}",
+            dataset.name(),
+            dataset.len(),
+            dataset.calibration().source
+        ));
+    }
+    for warning in dataset.warnings() {
+        eprintln!("warning: {warning}");
+    }
+    let masks = args
+        .oracle_labels
+        .as_ref()
+        .map(|dir| find_masks(args, dir))
+        .transpose()?;
+    let ground_truth = dataset.ground_truth().map(|raw| match args.ground_truth {
+        GroundTruth::Raw => raw.to_vec(),
+        GroundTruth::Camera => bonn_camera_from_marker(raw),
+    });
+
+    let frames = dataset.frames(PREFETCH).map(|frame| {
+        let frame = frame?;
+        let mask = match &masks {
+            Some(dir) => Some(dataset.read_mask(dir, frame.id.index())?),
+            None => None,
+        };
+        let Frame {
+            t_s, rgb, depth, ..
+        } = frame;
+        Ok(SourceFrame {
+            t_s,
+            rgb,
+            depth,
+            mask,
+        })
+    });
+    let options = args.common.run_options(args.input.strict)?;
+    let result = runner::run(
+        &dataset.calibration().camera,
+        frames,
+        dataset.len(),
+        &options,
+    )?;
+
+    let protocol = match (args.ground_truth, dataset.preset()) {
+        (GroundTruth::Camera, _) => "ground truth moved from marker to camera",
+        (GroundTruth::Raw, Some(Preset::Bonn)) => "raw ground truth (marker)",
+        (GroundTruth::Raw, _) => "raw ground truth",
+    };
+    let judged = Judged::new(dataset.name(), &result, ground_truth.as_deref(), protocol);
+    let out = args
+        .common
+        .out
+        .clone()
+        .unwrap_or_else(|| PathBuf::from("out").join(dataset.name()));
+    output::write(&out, &result, &judged, dataset.warnings())?;
+    for line in judged.summary() {
+        say(&line);
+    }
+    say(&format!("results in {}", out.display()));
+    if let Some(error) = result.stopped_by {
+        return Err(error.context("stopped by --strict; results so far are written"));
+    }
+    if judged.metrics.tracked == 0 {
+        bail!("no frame could be tracked; results are written");
+    }
+    Ok(())
+}
+
+fn find_masks(args: &Args, dir: &std::path::Path) -> Result<PathBuf> {
+    let candidates = [dir.to_path_buf(), args.dataset.join(dir)];
+    candidates
+        .iter()
+        .find(|d| d.is_dir())
+        .cloned()
+        .with_context(|| format!("{}: no such folder of masks", dir.display()))
+}

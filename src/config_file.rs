@@ -1,0 +1,67 @@
+//! `config.toml`: read with the line of every slip, written as used.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use garad_slam::Config;
+
+/// Reads a configuration; tables and keys that are not given keep their defaults.
+///
+/// # Errors
+/// A file that cannot be read, a key that does not exist, a value of the wrong kind (with line and
+/// column), or a value outside its range.
+pub fn read(path: &Path) -> Result<Config> {
+    let text = std::fs::read_to_string(path)
+        .with_context(|| format!("{}: cannot read the configuration", path.display()))?;
+    let config: Config = toml::from_str(&text).with_context(|| path.display().to_string())?;
+    config
+        .validate()
+        .with_context(|| path.display().to_string())?;
+    Ok(config)
+}
+
+/// The configuration as TOML text.
+///
+/// # Errors
+/// If a value has no TOML form (none of ours).
+pub fn write(config: &Config) -> Result<String> {
+    toml::to_string(config).context("the configuration has no TOML form")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<Config> {
+        let dir = tempfile::tempdir()?;
+        let path = dir.path().join("config.toml");
+        std::fs::write(&path, text)?;
+        read(&path)
+    }
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let mut config = Config::default();
+        config.features.count = 700;
+        let text = write(&config).expect("TOML");
+        assert_eq!(parse(&text).expect("valid"), config, "round trip");
+        assert_eq!(parse("").expect("valid"), Config::default(), "all defaults");
+    }
+
+    #[test]
+    fn slips_are_named() {
+        let unknown = format!(
+            "{:#}",
+            parse("[tracking]\nbff = 40.0").expect_err("no such key")
+        );
+        assert!(
+            unknown.contains("bff") && unknown.contains("line 2"),
+            "{unknown}"
+        );
+        let range = format!(
+            "{:#}",
+            parse("[seed]\nopacity = 2.0").expect_err("not in (0, 1)")
+        );
+        assert!(range.contains("seed.opacity"), "{range}");
+    }
+}

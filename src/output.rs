@@ -1,0 +1,268 @@
+//! OUT: what a run leaves on disk, and the figures it is judged by.
+//!
+//! | file | what |
+//! |---|---|
+//! | `trajectory.txt`, `keyframes.txt` | poses, TUM format |
+//! | `map.ply` | Gaussians, standard 3DGS layout |
+//! | `metrics.json` | every figure, for machines |
+//! | `report.html` | one page for people |
+//! | `pictures/` | input, render, depth and keypoints of a few frames |
+//! | `config.toml` | every number as used |
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use garad_core::{Label, Par, RgbImage, StampedPose};
+
+use garad_dataset::{PlyOptions, write_bytes_atomically, write_ply};
+use garad_eval::report::{FrameState, ReportData, Strip};
+use garad_eval::{
+    Ate, AteOptions, Metrics, PictureQuality, RpeOptions, ate, compare_pictures, rpe,
+};
+use garad_raster::{RenderOptions, render};
+use garad_slam::TrackingState;
+
+use crate::pictures;
+use crate::runner::{RunResult, Snapshot};
+
+/// The figures of a run.
+#[derive(Debug)]
+pub struct Judged {
+    /// Everything for `metrics.json`.
+    pub metrics: Metrics,
+    /// The absolute trajectory error with its pairs, if there is ground truth.
+    pub ate: Option<Ate>,
+    /// How it was measured, or why it could not be.
+    pub protocol: String,
+}
+
+impl Judged {
+    /// Judges the path of a run. No ground truth is not an error: the protocol says so.
+    #[must_use]
+    pub fn new(
+        dataset: &str,
+        result: &RunResult,
+        ground_truth: Option<&[StampedPose]>,
+        which_truth: &str,
+    ) -> Self {
+        let mut metrics = Metrics::new(env!("CARGO_PKG_VERSION"), dataset);
+        metrics.frames = result.frames.len() + result.skipped.len();
+        metrics.tracked = result.tracked();
+        metrics.threads = result.threads;
+        metrics.timing = result.stopwatch.summary();
+        metrics.wall_s = Some(result.wall_s);
+        metrics.peak_rss_mb = peak_rss_mb();
+        let gaussians = result.slam.gaussians();
+        metrics.map.gaussians = Some(gaussians.len());
+        let dynamic = gaussians.label.iter().filter(|l| **l == Label::Dynamic);
+        metrics.map.dynamic = Some(dynamic.count());
+
+        let options = AteOptions::default();
+        let (ate, protocol) = match ground_truth {
+            None => (None, "cannot be judged: no ground truth".to_owned()),
+            Some(truth) => match ate(truth, &result.trajectory, &options) {
+                Ok(ate) => (Some(ate), format!("{}, {which_truth}", options.describe())),
+                Err(error) => (None, format!("cannot be judged: {error}")),
+            },
+        };
+        if let Some(ate) = &ate {
+            metrics.ate = ate.into();
+        }
+        if let Some(Ok(rpe)) =
+            ground_truth.map(|truth| rpe(truth, &result.trajectory, &RpeOptions::default()))
+        {
+            metrics.rpe = (&rpe).into();
+        }
+        Self {
+            metrics,
+            ate,
+            protocol,
+        }
+    }
+
+    /// The result in a few lines.
+    #[must_use]
+    pub fn summary(&self) -> Vec<String> {
+        let m = &self.metrics;
+        let mut lines = vec![format!(
+            "tracked    {} of {} frames, {} Gaussians",
+            m.tracked,
+            m.frames,
+            m.map.gaussians.unwrap_or(0)
+        )];
+        if let Some(frame) = m.timing.get("frame") {
+            lines.push(format!(
+                "time       {:.1} s in all; a frame {:.1} ms median, {:.1} ms at 95 %, {} thread(s)",
+                m.wall_s.unwrap_or(0.0),
+                frame.median_ms,
+                frame.p95_ms,
+                m.threads
+            ));
+        }
+        match &self.ate {
+            Some(ate) => {
+                let s = &ate.stats;
+                lines.push(format!(
+                    "ATE [m]    rmse {:.4}  mean {:.4}  median {:.4}  std {:.4}  max {:.4}  ({} pairs)",
+                    s.rmse, s.mean, s.median, s.std, s.max, s.pairs
+                ));
+                if let (Some(t), Some(r)) = (m.rpe.trans_rmse_m_per_s, m.rpe.rot_rmse_deg_per_s) {
+                    lines.push(format!("RPE        {t:.4} m/s, {r:.3} deg/s (rmse)"));
+                }
+                lines.push(format!("protocol   {}", self.protocol));
+            }
+            None => lines.push(format!("ATE        {}", self.protocol)),
+        }
+        lines
+    }
+}
+
+/// Writes everything a run left. Each file is complete or absent.
+///
+/// # Errors
+/// A folder or file that cannot be written.
+pub fn write(out: &Path, result: &RunResult, judged: &Judged, warnings: &[String]) -> Result<()> {
+    let pictures_dir = out.join("pictures");
+    std::fs::create_dir_all(&pictures_dir)
+        .with_context(|| format!("{}: cannot make the folder", pictures_dir.display()))?;
+    garad_dataset::write_trajectory(&out.join("trajectory.txt"), &result.trajectory)?;
+    garad_dataset::write_trajectory(
+        &out.join("keyframes.txt"),
+        &result.slam.keyframe_trajectory(),
+    )?;
+    write_ply(
+        &out.join("map.ply"),
+        result.slam.gaussians(),
+        &PlyOptions::default(),
+    )?;
+    let config = crate::config_file::write(result.slam.config())?;
+    write_bytes_atomically(&out.join("config.toml"), config.as_bytes())?;
+    write_bytes_atomically(
+        &out.join("metrics.json"),
+        judged.metrics.to_json().as_bytes(),
+    )?;
+
+    let drawn = result
+        .snapshots
+        .iter()
+        .map(|snapshot| draw(result, snapshot))
+        .collect::<Result<Vec<_>>>()?;
+    for moment in &drawn {
+        for (name, picture) in moment.pictures() {
+            let file = format!("{:06}_{name}.png", moment.frame);
+            pictures::save_png(&pictures_dir.join(file), picture)?;
+        }
+    }
+    let report = report(result, judged, warnings, &config, &drawn);
+    write_bytes_atomically(&out.join("report.html"), report.as_bytes())?;
+    Ok(())
+}
+
+/// Pictures of one moment.
+struct Drawn {
+    frame: usize,
+    t_s: f64,
+    input: RgbImage,
+    labels: RgbImage,
+    rendered: Option<(RgbImage, RgbImage, PictureQuality)>,
+}
+
+impl Drawn {
+    fn pictures(&self) -> Vec<(&'static str, &RgbImage)> {
+        let mut pictures = vec![("input", &self.input), ("labels", &self.labels)];
+        if let Some((color, depth, _)) = &self.rendered {
+            pictures.extend([("render", color), ("depth", depth)]);
+        }
+        pictures
+    }
+
+    fn strip(&self) -> Strip<'_> {
+        Strip {
+            frame: self.frame,
+            t_s: self.t_s,
+            input: &self.input,
+            render: self.rendered.as_ref().map(|(color, ..)| color),
+            labels: Some(&self.labels),
+            quality: self.rendered.as_ref().map(|(.., quality)| *quality),
+        }
+    }
+}
+
+/// Input and keypoints beside what the map shows from the same place, if that place is known.
+fn draw(result: &RunResult, snapshot: &Snapshot) -> Result<Drawn> {
+    let pose = result
+        .trajectory
+        .iter()
+        .find(|p| p.t_s.to_bits() == snapshot.t_s.to_bits());
+    let rendered = match pose {
+        None => None,
+        Some(pose) => {
+            let rendered = render(
+                result.slam.gaussians(),
+                result.slam.camera(),
+                &pose.world_from_camera.inverse(),
+                &RenderOptions::default(),
+                Par::new(result.threads),
+            )?;
+            let depth = rendered.normalized_depth();
+            let color = pictures::color_picture(&rendered);
+            let quality = compare_pictures(&color, &snapshot.rgb, None, Par::new(result.threads))?;
+            let depth = pictures::depth_picture(&depth, pictures::depth_range(&depth));
+            Some((color, depth, quality))
+        }
+    };
+    Ok(Drawn {
+        frame: snapshot.frame,
+        t_s: snapshot.t_s,
+        input: snapshot.rgb.clone(),
+        labels: pictures::keypoint_picture(snapshot),
+        rendered,
+    })
+}
+
+fn report(
+    result: &RunResult,
+    judged: &Judged,
+    warnings: &[String],
+    config: &str,
+    drawn: &[Drawn],
+) -> String {
+    let track_ms = result.stopwatch.calls_ms("frame");
+    let frames: Vec<_> = result
+        .frames
+        .iter()
+        .enumerate()
+        .map(|(i, report)| FrameState {
+            t_s: report.t_s,
+            tracked: report.state == TrackingState::Tracking,
+            keyframe: report.keyframe.is_some(),
+            track_ms: track_ms.get(i).copied(),
+        })
+        .collect();
+    let strips: Vec<_> = drawn.iter().map(Drawn::strip).collect();
+    let mut notes = warnings.to_vec();
+    notes.extend(
+        result
+            .skipped
+            .iter()
+            .map(|why| format!("frame skipped: {why}")),
+    );
+    garad_eval::report::html(&ReportData {
+        metrics: &judged.metrics,
+        protocol: &judged.protocol,
+        ate: judged.ate.as_ref(),
+        not_judged: &judged.protocol,
+        frames: &frames,
+        strips: &strips,
+        warnings: &notes,
+        config_toml: config,
+    })
+}
+
+/// Largest resident memory of this process so far, MiB, where the system tells (Linux).
+fn peak_rss_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
+    let kib: f64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some(kib / 1024.0)
+}

@@ -1,0 +1,240 @@
+//! [`run`]: a recording through the system, frame by frame.
+
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use garad_core::{Camera, Label, MaskImage, Par, RgbImage, StampedPose};
+use garad_slam::{Config, FrameInput, FrameReport, Slam, TrackingState};
+
+use crate::progress::Progress;
+use crate::stopwatch::Stopwatch;
+
+/// A frame as the runner wants it.
+#[derive(Debug, Clone)]
+pub struct SourceFrame {
+    /// Colour time stamp, seconds.
+    pub t_s: f64,
+    /// Colour.
+    pub rgb: RgbImage,
+    /// Metres.
+    pub depth: garad_core::DepthImage,
+    /// 255 where something moves.
+    pub mask: Option<MaskImage>,
+}
+
+/// What a run is made with.
+#[derive(Debug, Clone)]
+pub struct RunOptions {
+    /// The pipeline's numbers.
+    pub config: Config,
+    /// Threads; never changes a result.
+    pub threads: usize,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Stop at the first frame that cannot be read, instead of skipping it.
+    pub strict: bool,
+    /// No progress.
+    pub quiet: bool,
+}
+
+impl Default for RunOptions {
+    fn default() -> Self {
+        Self {
+            config: Config::default(),
+            threads: 2,
+            seed: 0,
+            strict: false,
+            quiet: false,
+        }
+    }
+}
+
+/// An input picture kept for the report, with the labels of its keypoints.
+#[derive(Debug, Clone)]
+pub struct Snapshot {
+    /// Position in the recording.
+    pub frame: usize,
+    /// Time stamp.
+    pub t_s: f64,
+    /// The input.
+    pub rgb: RgbImage,
+    /// The mask given with it.
+    pub mask: Option<MaskImage>,
+    /// Keypoints (x, y) and what they were taken for.
+    pub keypoints: Vec<(f32, f32, KeypointRole)>,
+}
+
+/// What tracking made of a keypoint.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum KeypointRole {
+    /// Agrees with a landmark.
+    Tracked,
+    /// Static, but no landmark.
+    Free,
+    /// On something that moves.
+    Dynamic,
+}
+
+/// Everything a run leaves behind.
+#[derive(Debug)]
+pub struct RunResult {
+    /// The system after the last frame.
+    pub slam: Slam,
+    /// Threads it ran on.
+    pub threads: usize,
+    /// One line per frame given.
+    pub frames: Vec<FrameReport>,
+    /// The path.
+    pub trajectory: Vec<StampedPose>,
+    /// Frames that could not be read or used, with the reason.
+    pub skipped: Vec<String>,
+    /// The error that ended a strict run early.
+    pub stopped_by: Option<anyhow::Error>,
+    /// Durations per stage.
+    pub stopwatch: Stopwatch,
+    /// Wall time of the run, seconds.
+    pub wall_s: f64,
+    /// Pictures for the report.
+    pub snapshots: Vec<Snapshot>,
+}
+
+impl RunResult {
+    /// Frames with a pose.
+    #[must_use]
+    pub fn tracked(&self) -> usize {
+        self.trajectory.len()
+    }
+}
+
+/// Pictures kept for the report.
+const SNAPSHOTS: usize = 5;
+
+/// Takes every frame through the system.
+///
+/// # Errors
+/// Configuration or camera that cannot be. A frame that cannot be read is skipped and counted, or,
+/// if `strict`, ends the run: what was computed until then is still returned.
+pub fn run(
+    camera: &Camera,
+    frames: impl Iterator<Item = Result<SourceFrame>>,
+    total: usize,
+    options: &RunOptions,
+) -> Result<RunResult> {
+    let begun = Instant::now();
+    let par = Par::new(options.threads);
+    let mut slam = Slam::new(*camera, options.config.clone(), options.seed, par)
+        .context("the run cannot start")?;
+    let mut result = Collected::default();
+    let mut progress = Progress::new("tracking", total, options.quiet);
+    let mut waiting = Instant::now();
+    for (i, frame) in frames.enumerate() {
+        result.stopwatch.record("wait_for_frame", waiting.elapsed());
+        let outcome = frame.and_then(|frame| {
+            let report = result.process(&mut slam, &frame)?;
+            Ok((frame, report))
+        });
+        match outcome {
+            Ok((frame, report)) => {
+                if is_snapshot(i, total) {
+                    result.snapshots.push(snapshot(&slam, frame, &report));
+                }
+                progress.step(&state_line(&report, slam.map().keyframes().len()));
+                result.frames.push(report);
+            }
+            Err(error) => {
+                progress.step("frame skipped");
+                result.skipped.push(format!("{error:#}"));
+                if options.strict {
+                    result.stopped_by = Some(error);
+                    break;
+                }
+            }
+        }
+        waiting = Instant::now();
+    }
+    progress.finish();
+    Ok(RunResult {
+        trajectory: slam.trajectory(),
+        slam,
+        threads: options.threads.max(1),
+        frames: result.frames,
+        skipped: result.skipped,
+        stopped_by: result.stopped_by,
+        stopwatch: result.stopwatch,
+        wall_s: begun.elapsed().as_secs_f64(),
+        snapshots: result.snapshots,
+    })
+}
+
+#[derive(Default)]
+struct Collected {
+    frames: Vec<FrameReport>,
+    skipped: Vec<String>,
+    stopped_by: Option<anyhow::Error>,
+    stopwatch: Stopwatch,
+    snapshots: Vec<Snapshot>,
+}
+
+impl Collected {
+    fn process(&mut self, slam: &mut Slam, frame: &SourceFrame) -> Result<FrameReport> {
+        let input = FrameInput {
+            t_s: frame.t_s,
+            rgb: &frame.rgb,
+            depth: &frame.depth,
+            mask: frame.mask.as_ref(),
+        };
+        let begun = Instant::now();
+        let report = slam.process(&input, &mut self.stopwatch)?;
+        self.stopwatch.record("frame", begun.elapsed());
+        Ok(report)
+    }
+}
+
+fn state_line(report: &FrameReport, keyframes: usize) -> String {
+    format!(
+        "{}, {} inliers, {keyframes} keyframes",
+        report.state.name(),
+        report.inliers
+    )
+}
+
+/// Evenly spread over the recording, not its very first frame.
+fn is_snapshot(i: usize, total: usize) -> bool {
+    (1..=SNAPSHOTS).any(|k| i + 1 == (k * total).div_ceil(SNAPSHOTS))
+}
+
+fn snapshot(slam: &Slam, frame: SourceFrame, report: &FrameReport) -> Snapshot {
+    let keypoints = match slam.last_frame() {
+        Some(last) if report.state == TrackingState::Tracking => (0..last.len())
+            .map(|k| {
+                let role = match (last.label[k], last.landmark[k]) {
+                    (Label::Dynamic, _) => KeypointRole::Dynamic,
+                    (Label::Static, Some(_)) => KeypointRole::Tracked,
+                    (Label::Static, None) => KeypointRole::Free,
+                };
+                (last.keypoints[k].x, last.keypoints[k].y, role)
+            })
+            .collect(),
+        _ => Vec::new(),
+    };
+    Snapshot {
+        frame: report.id.index(),
+        t_s: frame.t_s,
+        rgb: frame.rgb,
+        mask: frame.mask,
+        keypoints,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_snapshot;
+
+    #[test]
+    fn snapshots_are_spread_and_include_the_last_frame() {
+        let taken: Vec<_> = (0..100).filter(|&i| is_snapshot(i, 100)).collect();
+        assert_eq!(taken, [19, 39, 59, 79, 99], "of 100");
+        let few: Vec<_> = (0..3).filter(|&i| is_snapshot(i, 3)).collect();
+        assert_eq!(few, [0, 1, 2], "of 3");
+    }
+}

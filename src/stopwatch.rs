@@ -1,0 +1,84 @@
+//! [`Stopwatch`]: how long each stage took. Clocks live here and nowhere below.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use garad_eval::StageTiming;
+use garad_slam::{Observer, Stage};
+
+/// Collects the duration of every call of every stage.
+#[derive(Debug, Default)]
+pub struct Stopwatch {
+    begun: Option<Instant>,
+    durations_ms: BTreeMap<String, Vec<f64>>,
+}
+
+impl Stopwatch {
+    /// Adds one call.
+    pub fn record(&mut self, stage: &str, duration: Duration) {
+        self.durations_ms
+            .entry(stage.to_owned())
+            .or_default()
+            .push(duration.as_secs_f64() * 1e3);
+    }
+
+    /// Every call of a stage, milliseconds, in order.
+    #[must_use]
+    pub fn calls_ms(&self, stage: &str) -> &[f64] {
+        self.durations_ms.get(stage).map_or(&[], Vec::as_slice)
+    }
+
+    /// Median, 95th percentile and number of calls per stage.
+    #[must_use]
+    pub fn summary(&self) -> BTreeMap<String, StageTiming> {
+        self.durations_ms
+            .iter()
+            .filter_map(|(stage, ms)| {
+                let timing = StageTiming {
+                    median_ms: percentile(ms, 0.5)?,
+                    p95_ms: percentile(ms, 0.95)?,
+                    calls: ms.len(),
+                };
+                Some((stage.clone(), timing))
+            })
+            .collect()
+    }
+}
+
+impl Observer for Stopwatch {
+    fn begin(&mut self, _: Stage) {
+        self.begun = Some(Instant::now());
+    }
+
+    fn end(&mut self, stage: Stage) {
+        if let Some(begun) = self.begun.take() {
+            self.record(stage.name(), begun.elapsed());
+        }
+    }
+}
+
+/// The smallest value that at least `share` of all values do not exceed (nearest rank).
+fn percentile(values: &[f64], share: f64) -> Option<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    #[allow(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "a rank between 0 and the number of values"
+    )]
+    let rank = (share * sorted.len() as f64).ceil() as usize;
+    sorted.get(rank.saturating_sub(1)).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::percentile;
+
+    #[test]
+    fn percentiles_by_nearest_rank() {
+        let values = [5.0, 1.0, 3.0, 2.0, 4.0];
+        assert_eq!(percentile(&values, 0.5), Some(3.0), "median");
+        assert_eq!(percentile(&values, 0.95), Some(5.0), "95 %");
+        assert_eq!(percentile(&[], 0.5), None, "no call");
+    }
+}
