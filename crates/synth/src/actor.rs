@@ -116,17 +116,9 @@ impl Actor {
         let limit = STANDS_BELOW_M_S * (t1_s - t0_s).abs();
         let (before, after) = (self.solids(t0_s), self.solids(t1_s));
         before.iter().zip(&after).any(|(a, b)| {
-            let [low, high] = a.shape.bounds();
-            (0..8).any(|corner| {
-                let p = Vector3::from_fn(|axis, _| {
-                    if corner >> axis & 1 == 0 {
-                        low[axis]
-                    } else {
-                        high[axis]
-                    }
-                });
-                (a.world_from_solid * p - b.world_from_solid * p).norm() > limit
-            })
+            let travel =
+                |p: &Vector3<f64>| (a.world_from_solid * *p - b.world_from_solid * *p).norm();
+            a.shape.corners().iter().any(|p| travel(p) > limit)
         })
     }
 

@@ -4,7 +4,6 @@ use garad_core::{Rng, Se3, So3};
 use nalgebra::{Matrix3, Vector3};
 
 use crate::config::SceneName;
-use crate::room::HALF;
 
 /// A smooth motion with six degrees of freedom, defined for every time.
 #[derive(Debug, Clone, PartialEq)]
@@ -83,7 +82,7 @@ impl CameraPath {
                 let x = reach * s(rate, 0.0);
                 (
                     v(x, -1.45, 1.42 + 0.05 * s(0.9, 0.0)),
-                    v(x + 0.10 * s(0.6, 0.0), 2.0, 1.05 + 0.08 * s(0.7, 0.4)),
+                    v(x + 0.42 * s(0.7, 0.0), 2.0, 1.05 + 0.08 * s(0.7, 0.4)),
                 )
             }
             SceneName::Loop => {
@@ -120,15 +119,16 @@ fn look_at(from: Vector3<f64>, to: Vector3<f64>) -> Se3 {
     Se3::new(So3::from_matrix(&world_from_camera), from)
 }
 
-/// Distance from the walls, metres; negative outside.
-pub(crate) fn clearance(p: &Vector3<f64>) -> f64 {
-    let [x, y, z] = HALF;
-    (x - p.x.abs()).min(y - p.y.abs()).min(z - (p.z - z).abs())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::room::HALF;
+
+    /// Distance from the walls, metres; negative outside.
+    fn clearance(p: &Vector3<f64>) -> f64 {
+        let [x, y, z] = HALF;
+        (x - p.x.abs()).min(y - p.y.abs()).min(z - (p.z - z).abs())
+    }
 
     #[test]
     fn looks_where_it_should_with_the_sky_above() {

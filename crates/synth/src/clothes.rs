@@ -74,8 +74,11 @@ impl Cloth {
                 mix(mix(a, hue, bloom), scale(a, 0.5), 0.7 * small)
             }
             Self::Printed(a, b) => {
-                // around the angle 0, which looks forward
-                let plate = band(u, -0.14, 0.14, fp) * band(v, 0.02, 0.17, fp);
+                // on the chest, around the angle 0, and on the back, half way round
+                let behind = s.half[0] - u.abs();
+                let plate = band(u, -0.14, 0.14, fp).max(band(behind, -0.01, 0.13, fp))
+                    * band(v, -0.04, 0.14, fp);
+                let a = mix(a, b, 0.8 * bands(v, 0.31, 0.02, 0.10, fp));
                 let text = print(u, v, 0.05, fp, seed);
                 let (i, _) = cell(u / 0.028);
                 let (j, _) = cell(v / 0.05);

@@ -63,9 +63,19 @@ pub(crate) fn walls(s: &Surface, plain: bool, fp: f32, seed: u32) -> Rgb {
 fn plaster(u: f32, v: f32, tone: Rgb, fp: f32, seed: u32) -> Rgb {
     let cloud = fbm(u, v, 0.9, 4, fp, seed);
     let chips = fbm(u, v, 0.035, 3, fp, seed ^ 0x33);
-    let (mark, h) = spots(u, v, 0.11, 0.45, fp, seed ^ 0x77);
-    let dark = mark * (0.35 * part(h, 1) - 0.06);
-    scale(tone, (1.0 + 0.05 * cloud + 0.05 * chips) * (1.0 - dark))
+    // chips of two sizes under the paint, lit from the side: one edge light, one dark
+    let chip = |pitch: f32, seed: u32| {
+        let (light, h) = spots(u, v, pitch, 0.5, fp, seed);
+        let (dark, _) = spots(u + 0.06 * pitch, v + 0.10 * pitch, pitch, 0.5, fp, seed);
+        (light - dark) * (0.4 + 0.6 * part(h, 1))
+    };
+    let relief = 0.16 * chip(0.052, seed ^ 0x77) + 0.12 * chip(0.028, seed ^ 0x78);
+    let (stain, h) = spots(u + 0.02 * chips, v, 0.21, 0.30, fp, seed ^ 0x79);
+    let stain = stain * (0.5 + 0.5 * chips).clamp(0.0, 1.0) * (0.30 * part(h, 1) - 0.05);
+    scale(
+        tone,
+        (1.0 + 0.05 * cloud + 0.06 * chips + relief) * (1.0 - stain),
+    )
 }
 
 /// Sprigs strewn on stripes: a leaf or a bloom per cell, none like its neighbour.
@@ -167,7 +177,7 @@ pub(crate) fn page(s: &Surface, fp: f32, seed: u32) -> Rgb {
     let (w, t) = (s.half[0], s.half[1]);
     let margin = band(u, -0.8 * w, 0.8 * w, fp) * band(v, -0.85 * t, 0.85 * t, fp);
     let title = band(v, 0.62 * t, 0.78 * t, fp) * print(u, v - 0.62 * t, 0.16 * t, fp, h);
-    let body = step(0.5 * t - v, fp) * print(u, v, 0.009, fp, h ^ 5);
+    let body = step(0.5 * t - v, fp) * print(u, v, 0.013, fp, h ^ 5);
     let ink = margin * (title + body).min(1.0);
     let (cx, cy) = (
         lerp(-0.3, 0.3, part(h, 0)) * w,

@@ -23,7 +23,9 @@ const STANCE: f64 = 0.6;
 const HALF_STEP_M: f64 = 0.28;
 /// Way gone in one cycle, metres.
 pub(crate) const STRIDE_M: f64 = 2.0 * HALF_STEP_M / STANCE;
-const HIP_M: f64 = 0.87;
+/// Height of the hips when both feet stand, metres; they rise by [`LIFT_M`] over a standing leg.
+const HIP_M: f64 = 0.88;
+const LIFT_M: f64 = 0.04;
 const ANKLE_M: f64 = 0.08;
 const BONE_M: f64 = 0.43;
 const UPPER_ARM_M: f64 = 0.28;
@@ -138,6 +140,11 @@ fn ankle(p: f64) -> (f64, f64) {
     }
 }
 
+/// Rise of the hips: most when a foot is half way through its stance.
+fn lift(cycle: f64) -> f64 {
+    LIFT_M * (0.5 + 0.5 * libm::cos(2.0 * TAU * (cycle - 0.5 * STANCE)))
+}
+
 /// The knee of a leg of two equal bones, bent forward.
 fn knee(hip: &Vector3<f64>, ankle: &Vector3<f64>) -> Vector3<f64> {
     let half = 0.5 * (ankle - hip);
@@ -156,9 +163,10 @@ impl Figure {
         };
         let cycle = step.gone_m / (STRIDE_M * k);
         let swing = libm::sin(TAU * (cycle + 0.10));
+        let lift = lift(cycle);
         self.legs(&mut body, cycle);
-        self.torso(&mut body, swing * step.pace, step.t_s);
-        self.arms(&mut body, swing * step.pace, step.t_s);
+        self.torso(&mut body, swing * step.pace, lift, step.t_s);
+        self.arms(&mut body, swing * step.pace, lift, step.t_s);
         body.parts
     }
 
@@ -181,6 +189,10 @@ impl Figure {
             cloth: self.trousers,
             seed: self.seed ^ 1,
         };
+        let tights = Material::Fabric {
+            cloth: Cloth::Plain([0.30, 0.24, 0.26]),
+            seed: self.seed ^ 4,
+        };
         let leather = Material::Painted {
             tone: [0.20, 0.15, 0.13],
             seed: self.seed ^ 2,
@@ -188,10 +200,10 @@ impl Figure {
         for (side, shift) in [(1.0, 0.0), (-1.0, 0.5)] {
             let p = cycle + shift - (cycle + shift).floor();
             let (x, up) = ankle(p);
-            let hip = Vector3::new(0.0, 0.09 * side, HIP_M);
+            let hip = Vector3::new(0.0, 0.09 * side, HIP_M + lift(cycle));
             let foot = Vector3::new(x, 0.085 * side, ANKLE_M + up);
             let knee = knee(&hip, &foot);
-            let leg = if self.skirt { self.bare() } else { cloth };
+            let leg = if self.skirt { tights } else { cloth };
             body.limb(hip, knee, BONE_M, [0.090, 0.062], leg);
             body.limb(knee, foot, BONE_M, [0.061, 0.043], leg);
             // the toes hang while the foot is in the air
@@ -199,19 +211,19 @@ impl Figure {
             let heel = foot + Vector3::new(-0.04, 0.0, -0.035);
             body.limb(heel, toe, 0.21, [0.045, 0.034], leather);
         }
+        let hips = Vector3::new(0.0, 0.0, HIP_M + lift(cycle) + 0.02);
         if self.skirt {
-            let waist = Vector3::new(0.0, 0.0, HIP_M + 0.02);
-            body.limb(waist, waist - Vector3::z(), 0.30, [0.165, 0.215], cloth);
+            let waist = hips + Vector3::z() * 0.05;
+            body.limb(waist, waist - Vector3::z(), 0.26, [0.150, 0.225], cloth);
         } else {
-            let hips = Vector3::new(0.0, 0.0, HIP_M + 0.02);
             body.ellipsoid(hips, So3::identity(), [0.118, 0.165, 0.13], cloth);
         }
     }
 
-    fn torso(&self, body: &mut Body, swing: f64, t_s: f64) {
+    fn torso(&self, body: &mut Body, swing: f64, lift: f64, t_s: f64) {
         let twist = So3::exp(&Vector3::new(0.0, 0.0, 0.10 * swing));
-        let up = |z: f64| Vector3::new(0.04 * (z - HIP_M), 0.0, z);
-        body.ellipsoid(up(1.02), twist, [0.118, 0.160, 0.19], self.shirt());
+        let up = |z: f64| Vector3::new(0.04 * (z - HIP_M), 0.0, z + lift);
+        body.limb(up(0.98), up(1.40), 0.28, [0.128, 0.138], self.shirt());
         body.ellipsoid(up(1.22), twist, [0.128, 0.185, 0.21], self.shirt());
         let across = twist * Vector3::y();
         body.limb(
@@ -263,18 +275,18 @@ impl Figure {
                 cloth: Cloth::Printed([0.22, 0.30, 0.24], [0.85, 0.55, 0.15]),
                 seed: self.seed ^ 3,
             };
-            let shape = Shape::Ellipsoid {
-                radii: Vector3::new(0.11, 0.16, 0.23) * body.k,
+            let shape = Shape::Block {
+                half: Vector3::new(0.075, 0.14, 0.20) * body.k,
             };
             body.push(
                 shape,
-                Se3::new(twist, up(1.18) - twist * Vector3::x() * 0.19),
+                Se3::new(twist, up(1.18) - twist * Vector3::x() * 0.20),
                 pack,
             );
         }
     }
 
-    fn arms(&self, body: &mut Body, swing: f64, t_s: f64) {
+    fn arms(&self, body: &mut Body, swing: f64, lift: f64, t_s: f64) {
         let phase = f64::from(self.seed % 97);
         let sleeve = if self.short_sleeves {
             self.bare()
@@ -282,7 +294,7 @@ impl Figure {
             self.shirt()
         };
         for side in [1.0, -1.0] {
-            let shoulder = Vector3::new(0.02 - 0.02 * swing * side, 0.195 * side, 1.385);
+            let shoulder = Vector3::new(0.02 - 0.02 * swing * side, 0.195 * side, 1.385 + lift);
             // angles from hanging down: raised forward, spread outward; then the bend of the elbow
             let (raise, spread, bend) = match self.arms {
                 Arms::Swing => (-0.50 * swing * side, 0.10, 0.30 - 0.20 * swing * side),
@@ -369,7 +381,7 @@ mod tests {
         for k in 0..200 {
             let p = f64::from(k) / 200.0;
             let (x, up) = ankle(p);
-            let hip = Vector3::new(0.0, 0.09, HIP_M);
+            let hip = Vector3::new(0.0, 0.09, HIP_M + lift(p));
             let foot = Vector3::new(x, 0.085, ANKLE_M + up);
             let knee = knee(&hip, &foot);
             assert!(((knee - hip).norm() - BONE_M).abs() < 1e-12, "thigh at {p}");

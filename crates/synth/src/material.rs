@@ -101,10 +101,11 @@ fn face(s: &Surface) -> u32 {
 
 fn painted(u: f32, v: f32, tone: Rgb, fp: f32, seed: u32) -> Rgb {
     let cloud = fbm(u, v, 0.25, 3, fp, seed);
-    let (mark, h) = spots(u, v, 0.05, 0.35, fp, seed ^ 0x51);
+    let (mark, h) = spots(u, v, 0.032, 0.18, fp, seed ^ 0x51);
+    let scratch = noise(u, v * 0.12, 0.010, fp, seed ^ 0x52);
     scale(
         tone,
-        (1.0 + 0.07 * cloud) * (1.0 - mark * (0.45 * part(h, 1) - 0.1)),
+        (1.0 + 0.07 * cloud + 0.04 * scratch) * (1.0 - mark * (0.4 * part(h, 1) - 0.1)),
     )
 }
 
@@ -124,12 +125,15 @@ pub(crate) fn grain(along: f32, across: f32, tone: Rgb, fp: f32, seed: u32) -> R
     let rings = fbm(along * 0.08, across + bend, 0.03, 3, fp, seed ^ 1);
     let fibre = noise(along * 0.05, across, 0.006, fp, seed ^ 2);
     let cloud = noise(along, across, 0.3, fp, seed ^ 3);
-    let (knot, _) = spots(along * 0.6, across, 0.11, 0.22, fp, seed ^ 4);
-    let shade = (1.0 + 0.20 * rings + 0.10 * fibre + 0.08 * cloud) * (1.0 - 0.5 * knot);
+    let (knot, h) = spots(along * 0.5 + bend, across, 0.075, 0.16, fp, seed ^ 4);
+    let knot = knot * (0.25 + 0.3 * part(h, 1));
+    let shade = (1.0 + 0.20 * rings + 0.14 * fibre + 0.08 * cloud) * (1.0 - knot);
+    // dark wood is redder
+    let dark = (1.0 - shade).clamp(0.0, 0.6);
     [
         tone[0] * shade,
-        tone[1] * shade * shade.min(1.1),
-        tone[2] * shade,
+        tone[1] * shade * (1.0 - 0.12 * dark),
+        tone[2] * shade * (1.0 - 0.35 * dark),
     ]
 }
 
@@ -267,17 +271,24 @@ fn bars(u: f32, fp: f32, seed: u32) -> f32 {
     lerp(0.5, f32::from(u8::from(part(hash(i, 0, seed), 0) > x)), w)
 }
 
+/// Four layers of leaves, each a lattice sheared another way, over a dark inside.
 fn leaves(u: f32, v: f32, fp: f32, seed: u32) -> Rgb {
-    let mut colour: Rgb = [0.07, 0.16, 0.08];
-    for layer in 0..3u32 {
-        let pitch = 0.06 - 0.01 * layer as f32;
-        let shear = 0.6 * (layer as f32 - 1.0);
-        let (x, y) = (u + shear * v, v * 0.6);
-        let (leaf, h) = spots(x, y, pitch, 0.75, fp, seed ^ layer);
-        let green = mix([0.15, 0.38, 0.14], [0.50, 0.66, 0.26], part(h, 1));
+    let mut colour: Rgb = [0.08, 0.20, 0.09];
+    for layer in 0..4u32 {
+        let tilt = 0.5 * layer as f32 - 0.75;
+        let (x, y) = (u + tilt * v, v - 0.6 * tilt * u);
+        let (leaf, h) = spots(
+            x + 0.013 * layer as f32,
+            y * 0.7,
+            0.034,
+            0.9,
+            fp,
+            seed ^ layer,
+        );
+        let green = mix([0.16, 0.40, 0.15], [0.52, 0.70, 0.30], part(h, 1));
         colour = mix(colour, green, leaf);
     }
-    colour
+    scale(colour, 1.0 + 0.2 * fbm(u, v, 0.05, 3, fp, seed))
 }
 
 fn pottery(u: f32, v: f32, tone: Rgb, fp: f32, seed: u32) -> Rgb {

@@ -100,8 +100,7 @@ fn shade(
     let solid = &view.solids[hit.index];
     let p = view.point_in_solid(&hit, u, v);
     let d = view.direction_in_solid(hit.index, u, v);
-    let n = solid.shape.normal(&p);
-    let surface = solid.shape.surface(&p);
+    let (surface, n) = solid.shape.surface(&p);
     let incidence = (-n.dot(&d) / d.norm()).max(0.0);
     // width of the pixel on the surface: longer along the slope, but blurred no more than 5 times
     let footprint = spread * hit.z / view.camera.fx / incidence.max(0.2);
@@ -109,9 +108,13 @@ fn shade(
     if let Material::Shade { .. } = solid.material {
         return (albedo.map(|a| a * a), incidence as f32);
     }
-    let p_world = solid.world_from_solid * p;
-    let n_world = solid.world_from_solid.rotation * n;
-    let light = lighting.at(hit.index, &surface, &p_world, &n_world);
+    let placed = || {
+        (
+            solid.world_from_solid * p,
+            solid.world_from_solid.rotation * n,
+        )
+    };
+    let light = lighting.at(hit.index, &surface, placed);
     let out = std::array::from_fn(|c| albedo[c] * albedo[c] * light[c]);
     (out, incidence as f32)
 }

@@ -32,6 +32,9 @@ pub(crate) struct Surface {
 /// [`Surface::face`] of a curved surface.
 pub(crate) const CURVED: usize = 6;
 
+/// The axes along u and v of the faces across x, y and z.
+pub(crate) const FACE_AXES: [(usize, usize); 3] = [(1, 2), (0, 2), (0, 1)];
+
 /// A ray starts this far in front of its origin, so that it leaves the surface it starts on.
 const T_MIN: f64 = 1e-9;
 
@@ -61,42 +64,15 @@ impl Shape {
         (t > T_MIN).then_some(t)
     }
 
-    /// Outward unit normal at a point of the surface (into the room for [`Shape::Room`]).
-    pub(crate) fn normal(&self, p: &Vector3<f64>) -> Vector3<f64> {
-        match self {
-            Self::Room { half } => -face_normal(box_face(half, p)),
-            Self::Block { half } => face_normal(box_face(half, p)),
-            Self::Ellipsoid { radii } => p.component_div(&radii.component_mul(radii)).normalize(),
-            Self::Drum { .. } => match self.surface(p).face {
-                CURVED => Vector3::new(p.x, p.y, 0.0).normalize(),
-                face => face_normal(face),
-            },
-            Self::Limb { r0, r1, length } => {
-                let (sin, cos) = limb_slope(*r0, *r1, *length);
-                if p.z <= r0 * sin {
-                    p / *r0
-                } else if p.z >= length + r1 * sin {
-                    (p - Vector3::new(0.0, 0.0, *length)) / *r1
-                } else {
-                    let rho = p.xy().norm();
-                    Vector3::new(p.x / rho * cos, p.y / rho * cos, sin)
-                }
-            }
-        }
-    }
-
-    /// Texture coordinates of a point of the surface.
+    /// Texture coordinates and outward unit normal (for [`Shape::Room`]: into the room) at a point of
+    /// the surface.
     #[allow(
         clippy::cast_possible_truncation,
         reason = "textures are drawn in f32: a tenth of a micrometre is enough"
     )]
-    pub(crate) fn surface(&self, p: &Vector3<f64>) -> Surface {
+    pub(crate) fn surface(&self, p: &Vector3<f64>) -> (Surface, Vector3<f64>) {
         let flat = |face: usize, half: &Vector3<f64>| {
-            let (a, b) = match face / 2 {
-                0 => (1, 2),
-                1 => (0, 2),
-                _ => (0, 1),
-            };
+            let (a, b) = FACE_AXES[face / 2];
             Surface {
                 face,
                 uv: [p[a] as f32, p[b] as f32],
@@ -112,22 +88,46 @@ impl Shape {
             }
         };
         match self {
-            Self::Room { half } | Self::Block { half } => flat(box_face(half, p), half),
-            Self::Ellipsoid { radii } => round(0.5 * (radii.x + radii.y), p.z, radii.z),
+            Self::Room { half } => {
+                let face = box_face(half, p);
+                (flat(face, half), -face_normal(face))
+            }
+            Self::Block { half } => {
+                let face = box_face(half, p);
+                (flat(face, half), face_normal(face))
+            }
+            Self::Ellipsoid { radii } => {
+                let normal = p.component_div(&radii.component_mul(radii)).normalize();
+                (round(0.5 * (radii.x + radii.y), p.z, radii.z), normal)
+            }
             Self::Drum {
                 radius,
                 half_height,
             } => {
                 let half = Vector3::new(*radius, *radius, *half_height);
-                let side = p.xy().norm() / radius;
-                match p.z / half_height {
-                    z if z > side => flat(5, &half),
-                    z if -z > side => flat(4, &half),
-                    _ => round(*radius, p.z, *half_height),
+                let rho = p.xy().norm();
+                if p.z.abs() / half_height > rho / radius {
+                    let face = if p.z > 0.0 { 5 } else { 4 };
+                    (flat(face, &half), face_normal(face))
+                } else {
+                    let normal = Vector3::new(p.x / rho, p.y / rho, 0.0);
+                    (round(*radius, p.z, *half_height), normal)
                 }
             }
             Self::Limb { r0, r1, length } => {
-                round(0.5 * (r0 + r1), p.z - 0.5 * length, 0.5 * length)
+                let (sin, cos) = limb_slope(*r0, *r1, *length);
+                let normal = if p.z <= r0 * sin {
+                    p / *r0
+                } else if p.z >= length + r1 * sin {
+                    (p - Vector3::new(0.0, 0.0, *length)) / *r1
+                } else {
+                    let rho = p.xy().norm();
+                    Vector3::new(p.x / rho * cos, p.y / rho * cos, sin)
+                };
+                (
+                    round(0.5 * (r0 + r1), p.z - 0.5 * length, 0.5 * length),
+                    normal,
+                )
             }
         }
     }
@@ -149,6 +149,14 @@ impl Shape {
                 [Vector3::new(-r, -r, -r0), Vector3::new(r, r, length + r1)]
             }
         }
+    }
+
+    /// Corners of [`Shape::bounds`]: bit a of a corner's number is set where axis a is at its maximum.
+    pub(crate) fn corners(&self) -> [Vector3<f64>; 8] {
+        let [low, high] = self.bounds();
+        std::array::from_fn(|k| {
+            Vector3::from_fn(|a, _| if k >> a & 1 == 0 { low[a] } else { high[a] })
+        })
     }
 
     /// The point lies in the solid, not on its surface. Never for [`Shape::Room`].
@@ -320,17 +328,24 @@ mod tests {
 
     #[test]
     fn hand_numbers() {
-        let along_x = |shape: Shape| shape.intersect(&v(-2.0, 0.0, 0.0), &v(1.0, 0.0, 0.0));
+        let meets = |shape: Shape, from: Vector3<f64>, expected: f64| {
+            let t = shape.intersect(&from, &-from.normalize()).expect("a hit");
+            assert!(
+                (t - expected).abs() < 1e-15,
+                "{shape:?}: {t} against {expected}"
+            );
+        };
         let [block, ellipsoid, drum, limb, _, capsule] = shapes();
-        assert_eq!(along_x(block), Some(1.5), "block");
-        assert_eq!(along_x(ellipsoid), Some(1.5), "ellipsoid");
-        assert_eq!(along_x(drum), Some(1.6), "drum");
-        assert_eq!(along_x(capsule), Some(1.8), "capsule");
-        // sin a = 1/3: at z = 0 the cone, 0.3 / cos a, is not yet the surface: the ball is
-        assert_eq!(along_x(limb), Some(1.7), "limb below the tangent circle");
-        let down = |shape: Shape| shape.intersect(&v(0.0, 0.0, 2.0), &v(0.0, 0.0, -1.0));
-        assert_eq!(down(drum), Some(1.7), "lid");
-        assert_eq!(down(limb), Some(2.0 - 0.7), "upper ball");
+        let along_x = v(-2.0, 0.0, 0.0);
+        meets(block, along_x, 1.5);
+        meets(ellipsoid, along_x, 1.5);
+        meets(drum, along_x, 1.6);
+        meets(capsule, along_x, 1.8);
+        // sin a = 1/3: the cone begins at z = 0.1, at z = 0 the ball is the surface
+        meets(limb, along_x, 1.7);
+        let from_above = v(0.0, 0.0, 2.0);
+        meets(drum, from_above, 1.7);
+        meets(limb, from_above, 2.0 - 0.7);
         let room = Shape::Room {
             half: v(2.0, 2.0, 1.0),
         };
@@ -340,7 +355,7 @@ mod tests {
             "wall"
         );
         assert_eq!(
-            room.normal(&v(2.0, 0.3, 0.1)),
+            room.surface(&v(2.0, 0.3, 0.1)).1,
             v(-1.0, 0.0, 0.0),
             "into the room"
         );
@@ -375,7 +390,7 @@ mod tests {
             let d = v(to[0], to[1], to[2] + 0.1) - o;
             if let Some(t) = shape.intersect(&o, &d) {
                 let p = o + d * t;
-                let n = shape.normal(&p);
+                let (_, n) = shape.surface(&p);
                 prop_assert!((n.norm() - 1.0).abs() < 1e-12, "unit normal");
                 prop_assert!(n.dot(&d) < 1e-9, "enters");
                 prop_assert!(!shape.contains(&(p + n * 1e-6)), "outside");

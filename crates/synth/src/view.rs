@@ -13,7 +13,7 @@ use crate::solid::Solid;
 
 /// Side of a tile, pixels.
 const TILE: usize = 8;
-/// A box that comes nearer than this to the plane of the camera is put into every tile, metres.
+/// Nothing in the picture is nearer to the camera's plane than this, metres.
 const NEAR_M: f64 = 0.05;
 
 /// What a ray meets.
@@ -78,44 +78,49 @@ impl View {
         }
     }
 
-    /// (nearest depth, [u0, u1, v0, v1]) of the bounding box; `None` behind the camera.
+    /// (nearest depth, [u0, u1, v0, v1]) of the part of the bounding box beyond [`NEAR_M`]; `None`
+    /// if there is none.
+    ///
+    /// That part is a convex solid whose corners are those of the box beyond the plane and the points
+    /// where the box's edges cross it.
     fn bounds(camera: &Camera, solid: &Solid, camera_from_solid: &Se3) -> Option<(f64, [f64; 4])> {
-        let everywhere = [0.0, camera.width as f64, 0.0, camera.height as f64];
         if let Shape::Room { .. } = solid.shape {
             // behind everything else, and seen by every ray that meets nothing
+            let everywhere = [0.0, camera.width as f64, 0.0, camera.height as f64];
             return Some((f64::MAX, everywhere));
         }
-        let [low, high] = solid.shape.bounds();
         let r = camera_from_solid.rotation.matrix();
-        let (mut z_min, mut z_max) = (f64::MAX, f64::MIN);
+        let corners = solid
+            .shape
+            .corners()
+            .map(|p| r * p + camera_from_solid.translation);
+        let mut z_min = f64::MAX;
         let mut pixels = [f64::MAX, f64::MIN, f64::MAX, f64::MIN];
-        for corner in 0..8 {
-            let p = Vector3::from_fn(|a, _| {
-                if corner >> a & 1 == 0 {
-                    low[a]
-                } else {
-                    high[a]
-                }
-            });
-            let p = r * p + camera_from_solid.translation;
-            z_min = z_min.min(p.z);
-            z_max = z_max.max(p.z);
+        let mut include = |p: &Vector3<f64>| {
             let u = camera.fx * p.x / p.z + camera.cx;
             let v = camera.fy * p.y / p.z + camera.cy;
+            z_min = z_min.min(p.z);
             pixels = [
                 pixels[0].min(u),
                 pixels[1].max(u),
                 pixels[2].min(v),
                 pixels[3].max(v),
             ];
+        };
+        for (k, p) in corners.iter().enumerate() {
+            if p.z >= NEAR_M {
+                include(p);
+            }
+            // the three edges from a corner lead to those whose number differs in one bit
+            for other in [k | 1, k | 2, k | 4].map(|other| &corners[other]) {
+                if (p.z < NEAR_M) != (other.z < NEAR_M) {
+                    let s = (NEAR_M - p.z) / (other.z - p.z);
+                    let crossing = p + (other - p) * s;
+                    include(&Vector3::new(crossing.x, crossing.y, NEAR_M));
+                }
+            }
         }
-        if z_max <= 0.0 {
-            None
-        } else if z_min < NEAR_M {
-            Some((0.0, everywhere))
-        } else {
-            Some((z_min, pixels))
-        }
+        (z_min < f64::MAX).then_some((z_min, pixels))
     }
 
     /// Direction of the ray through a pixel, z = 1, in the camera's frame.
@@ -233,7 +238,30 @@ mod tests {
     use crate::camera_path::CameraPath;
     use crate::cast::{actors, furnishing};
     use crate::config::SceneName;
+    use crate::material::Material;
     use crate::room::furnished;
+
+    /// The wall ahead is 2.5 m away at every pixel, and a box before it where its face projects.
+    #[test]
+    fn depth_is_the_distance_along_the_axis() {
+        let camera = Camera::pinhole((64, 48), [52.0, 52.0, 32.0, 23.0]).expect("a camera");
+        let mut b = crate::solid::Builder::new(1);
+        let tone = Material::Shade { tone: [0.5; 3] };
+        let room = Shape::Room {
+            half: Vector3::new(9.0, 9.0, 2.5),
+        };
+        b.solid(room, Se3::identity(), tone);
+        b.block([0.2, 0.1, 1.5], [0.2, 0.1, 0.5], tone);
+        let view = View::new(camera, &Se3::identity(), b.solids);
+        for (y, x) in (0..48).flat_map(|y| (0..64).map(move |x| (y, x))) {
+            let (u, v) = (f64::from(x), f64::from(y));
+            let z = view.cast(u, v).expect("a closed room").z;
+            // the front face spans x 0..0.4 and y 0..0.2 at z = 1, so 52 px to the metre
+            let on_face = (32.0..32.0 + 20.8).contains(&u) && (23.0..23.0 + 10.4).contains(&v);
+            let expected = if on_face { 1.0 } else { 2.5 };
+            assert!((z - expected).abs() < 1e-14, "{z} at {u}, {v}");
+        }
+    }
 
     /// Tiles and depth order change nothing: every ray against every solid.
     #[test]
