@@ -71,6 +71,21 @@ pub struct Ate {
 /// Source: Sturm et al. 2012; figures equal evo's `evo_ape ... --align` (a test says how
 /// closely). Golden: `trajectory/*`.
 ///
+/// # Example
+/// ```
+/// use garad_core::{Se3, StampedPose};
+/// use garad_eval::{AteOptions, ate};
+/// let pose = |t_s: f64, x: f64, y: f64| StampedPose {
+///     t_s,
+///     world_from_camera: Se3::exp(&[x, y, 0.0, 0.0, 0.0, 0.0].into()),
+/// };
+/// // The same triangle somewhere else: nothing is wrong with it.
+/// let truth = [pose(0.0, 0.0, 0.0), pose(0.1, 3.0, 0.0), pose(0.2, 3.0, 4.0)];
+/// let estimate = [pose(0.0, 7.0, 1.0), pose(0.1, 7.0, 4.0), pose(0.2, 3.0, 4.0)];
+/// let judged = ate(&truth, &estimate, &AteOptions::default())?;
+/// assert!(judged.stats.rmse < 1e-14 && judged.stats.pairs == 3);
+/// # Ok::<(), garad_eval::EvalError>(())
+/// ```
 /// # Errors
 /// As [`associate`] and [`align_points`]; in particular [`EvalError::TooFew`] below 3 pairs,
 /// which a rigid motion would fit exactly (1 pair is enough without alignment).

@@ -1,10 +1,10 @@
-//! PSNR, SSIM and depth error: how well a rendered picture meets the recorded one.
+//! PSNR and SSIM: how well a rendered picture meets the recorded one.
 //!
 //! Everything is computed in f64, whatever the pixels are. Where a mask is given, pixels that
 //! are not 0 in it (moving or unknown) neither count nor leak: SSIM's windows reach over the
 //! edge of the mask, so inside it the render is first replaced by the recorded picture.
 
-use garad_core::{DepthImage, Image, MaskImage, Par, Real};
+use garad_core::{Image, MaskImage, Par, Real};
 
 use crate::EvalError;
 
@@ -57,8 +57,8 @@ pub fn compare_pictures<A: Pixel, B: Pixel>(
 ) -> Result<PictureQuality, EvalError> {
     let pixels = check(render, truth, excluded)?;
     Ok(PictureQuality {
-        psnr_db: psnr_db(render, truth, excluded)?,
-        ssim: ssim(render, truth, excluded, par)?,
+        psnr_db: psnr_of_checked(render, truth, excluded, pixels),
+        ssim: ssim_of_checked(render, truth, excluded, pixels, par),
         pixels,
     })
 }
@@ -78,6 +78,15 @@ pub fn psnr_db<A: Pixel, B: Pixel>(
     excluded: Option<&MaskImage>,
 ) -> Result<f64, EvalError> {
     let pixels = check(render, truth, excluded)?;
+    Ok(psnr_of_checked(render, truth, excluded, pixels))
+}
+
+fn psnr_of_checked<A: Pixel, B: Pixel>(
+    render: &Image<A>,
+    truth: &Image<B>,
+    excluded: Option<&MaskImage>,
+    pixels: usize,
+) -> f64 {
     let mut sum = 0.0;
     for i in judged(render.data().len(), excluded) {
         for c in 0..A::CHANNELS {
@@ -86,7 +95,7 @@ pub fn psnr_db<A: Pixel, B: Pixel>(
         }
     }
     let mse = sum / (pixels * A::CHANNELS) as f64;
-    Ok(-10.0 * Real::ln(mse) / std::f64::consts::LN_10)
+    -10.0 * Real::ln(mse) / std::f64::consts::LN_10
 }
 
 /// Mean of [`ssim_map`] over the judged pixels and channels.
@@ -100,9 +109,19 @@ pub fn ssim<A: Pixel, B: Pixel>(
     par: Par,
 ) -> Result<f64, EvalError> {
     let pixels = check(render, truth, excluded)?;
+    Ok(ssim_of_checked(render, truth, excluded, pixels, par))
+}
+
+fn ssim_of_checked<A: Pixel, B: Pixel>(
+    render: &Image<A>,
+    truth: &Image<B>,
+    excluded: Option<&MaskImage>,
+    pixels: usize,
+    par: Par,
+) -> f64 {
     let map = similarity(render, truth, excluded, par);
     let sum = judged(map.data().len(), excluded).fold(0.0, |sum, i| sum + map.data()[i]);
-    Ok(sum / pixels as f64)
+    sum / pixels as f64
 }
 
 /// Structural similarity around each pixel, mean over channels:
@@ -222,51 +241,7 @@ fn similarity_of(&[mx, my, squares, product]: &Moments) -> f64 {
         / ((means2 + C1) * (squares - means2 + C2))
 }
 
-/// Depth error of one picture.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct DepthL1 {
-    /// Mean of |z_render - z_truth| where both are known, metres.
-    pub mean_m: f64,
-    /// Pixels where both are known.
-    pub pixels: usize,
-    /// Share of the pixels with true depth where the render has depth too, in [0, 1].
-    pub coverage: f64,
-}
-
-/// Mean absolute difference of two depth pictures where both have depth (finite and above 0) and
-/// the mask, if any, is 0. Read it together with `coverage`: empty pixels cost nothing here.
-///
-/// # Errors
-/// [`EvalError::SizeMismatch`]; [`EvalError::TooFew`] when no pixel has both depths.
-pub fn depth_l1(
-    render: &DepthImage,
-    truth: &DepthImage,
-    excluded: Option<&MaskImage>,
-) -> Result<DepthL1, EvalError> {
-    check_sizes(render, truth, excluded)?;
-    let known = |z: f32| z.is_finite() && z > 0.0;
-    let (mut sum, mut pixels, mut with_truth) = (0.0, 0usize, 0usize);
-    for i in judged(truth.data().len(), excluded) {
-        let (z, z_true) = (render.data()[i], truth.data()[i]);
-        if known(z_true) {
-            with_truth += 1;
-            if known(z) {
-                pixels += 1;
-                sum += (f64::from(z) - f64::from(z_true)).abs();
-            }
-        }
-    }
-    if pixels == 0 {
-        return Err(no_pixels());
-    }
-    Ok(DepthL1 {
-        mean_m: sum / pixels as f64,
-        pixels,
-        coverage: pixels as f64 / with_truth as f64,
-    })
-}
-
-fn no_pixels() -> EvalError {
+pub(crate) fn no_pixels() -> EvalError {
     EvalError::TooFew {
         what: "pixels to compare",
         got: 0,
@@ -275,11 +250,11 @@ fn no_pixels() -> EvalError {
 }
 
 /// Indices of the pixels that count.
-fn judged(n: usize, excluded: Option<&MaskImage>) -> impl Iterator<Item = usize> {
+pub(crate) fn judged(n: usize, excluded: Option<&MaskImage>) -> impl Iterator<Item = usize> {
     (0..n).filter(move |&i| excluded.is_none_or(|mask| mask.data()[i] == 0))
 }
 
-fn check_sizes<A, B>(
+pub(crate) fn check_sizes<A, B>(
     render: &Image<A>,
     truth: &Image<B>,
     excluded: Option<&MaskImage>,
@@ -471,22 +446,5 @@ mod tests {
         assert_eq!(psnr_db(&empty, &empty, None), Err(no_pixels()), "empty");
         let grey = Image::new(8, 8, 0.0f64);
         assert!(psnr_db(&x, &grey, None).is_err(), "channels");
-    }
-
-    #[test]
-    fn depth_by_hand() {
-        let truth = Image::from_vec(5, 1, vec![1.0f32, 2.0, 0.0, 4.0, 5.0]).expect("5 pixels");
-        let render = Image::from_vec(5, 1, vec![1.5f32, 2.25, 3.0, f32::NAN, 9.0]).expect("5");
-        let mask = Image::from_vec(5, 1, vec![0, 0, 0, 0, 255]).expect("5 pixels");
-        let judged = depth_l1(&render, &truth, Some(&mask)).expect("two pixels");
-        assert_eq!(judged.pixels, 2, "known in both, outside the mask");
-        assert!((judged.mean_m - 0.375).abs() < 1e-15, "{judged:?}");
-        assert!((judged.coverage - 2.0 / 3.0).abs() < 1e-15, "{judged:?}");
-        let empty = Image::new(5, 1, 0.0);
-        assert_eq!(
-            depth_l1(&render, &empty, None),
-            Err(no_pixels()),
-            "no truth"
-        );
     }
 }

@@ -1,15 +1,16 @@
 //! How good is a run: trajectories, pictures, labels; and the pages that say so.
 //!
-//! Reading order: [`associate`] (which estimate belongs to which truth) → [`align`] (the best
-//! rigid motion between two point lists) → [`ate`], [`rpe`] (trajectory errors, the numbers of
-//! the papers) → [`image_metrics`], [`labels`] (pictures and segmentations) → [`metrics`]
-//! (`metrics.json`) → [`plot`], [`report`] (`report.html`).
+//! Reading order: [`mod@associate`] (which estimate belongs to which truth) → [`align`] (the best
+//! rigid motion between two point lists) → [`mod@ate`], [`mod@rpe`] (trajectory errors, the numbers of
+//! the papers) → [`image_metrics`], [`depth`], [`labels`] (pictures and segmentations) →
+//! [`metrics`] (`metrics.json`) → [`plot`], [`report`] (`report.html`).
 //!
 //! No function here reads a file or a clock: values in, values out.
 
 pub mod align;
 pub mod associate;
 pub mod ate;
+pub mod depth;
 pub mod error;
 pub mod image_metrics;
 pub mod labels;
@@ -22,10 +23,9 @@ pub mod stats;
 pub use align::{Alignment, Sim3, align_points, align_trajectory};
 pub use associate::{MAX_DT_S, associate, nearest_in_time};
 pub use ate::{Ate, AteOptions, AtePoint, ate};
+pub use depth::{DepthL1, depth_l1};
 pub use error::EvalError;
-pub use image_metrics::{
-    DepthL1, PictureQuality, compare_pictures, depth_l1, psnr_db, ssim, ssim_map,
-};
+pub use image_metrics::{PictureQuality, compare_pictures, psnr_db, ssim, ssim_map};
 pub use labels::Confusion;
 pub use metrics::{Metrics, StageTiming};
 pub use report::{FrameState, ReportData, Strip};

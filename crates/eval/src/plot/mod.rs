@@ -1,7 +1,7 @@
 //! Plots as SVG text: trajectories seen from two sides, error and tracking time over time.
 //!
 //! The text is a function of the numbers alone. Sizes are in CSS pixels at full width; inside,
-//! everything is drawn [`SCALE`] times larger, because the SVG backend places points on whole
+//! everything is drawn `SCALE` times larger, because the SVG backend places points on whole
 //! numbers. Colours are the same four roles everywhere and distinguishable for colour-blind
 //! readers; a page may repaint ink and grid for a dark background by their attribute values.
 
@@ -175,7 +175,7 @@ mod tests {
         };
         let points: Vec<_> = [0.0, 0.1, 0.2, 0.9, 1.0, 1.1].iter().map(point).collect();
         assert_eq!(unbroken(&points), [0..3, 3..6], "one hole");
-        assert_eq!(unbroken(&points[..1]), [0..1], "one point");
+        assert_eq!(unbroken(&points[..1]), vec![0..1; 1], "one point");
     }
 
     #[test]

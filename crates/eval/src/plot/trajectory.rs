@@ -41,8 +41,8 @@ pub fn widest_planes(points: &[AtePoint]) -> [Plane; 2] {
     })
 }
 
-/// SVG of ground truth (grey) and aligned estimate (blue where right, orange where wrong), both
-/// axes on one scale. Keyframes are dots, the first pose a ring.
+/// SVG of ground truth (grey) and aligned estimate (blue where right, orange where wrong); both
+/// axes have one scale. Keyframes are dots, the first pose a ring.
 ///
 /// `keyframes_s`: times of keyframes; those without a pair are not drawn.
 ///
@@ -128,12 +128,12 @@ pub fn trajectory_panel(
             (Key::Dot(ESTIMATE), "keyframe".to_owned()),
             (Key::Ring(INK), "start".to_owned()),
         ];
-        legend(canvas, left.cast_signed(), 12, &keys)?;
-        error_scale(canvas, left.cast_signed(), 36, largest_m)
+        legend(canvas, 14, 12, &keys)?;
+        error_scale(canvas, 14, 36, largest_m)
     })
 }
 
-/// "error 0 [shades] 7.3 cm".
+/// "error 0", the shades, "7.3 cm".
 fn error_scale(
     canvas: &super::Canvas<'_>,
     x: i32,
@@ -197,22 +197,20 @@ fn shade_of(error_m: f64, largest_m: f64) -> u8 {
     shade.min(SHADES - 1)
 }
 
-/// From [`ESTIMATE`] to [`ALARM`].
+/// From [`ESTIMATE`] over purple, so as not to meet the grey of the truth, to [`ALARM`].
 fn shade_color(shade: u8) -> RGBColor {
-    let mix = |a: u8, b: u8| {
-        let (a, b, s, n) = (
-            i32::from(a),
-            i32::from(b),
-            i32::from(shade),
-            i32::from(SHADES - 1),
-        );
-        u8::try_from(a + (b - a) * s / n).unwrap_or(a.to_le_bytes()[0])
+    const MIDDLE: RGBColor = RGBColor(0x9c, 0x5f, 0xa8);
+    let (position, end) = (2 * i32::from(shade), i32::from(SHADES - 1));
+    let (from, to, step) = if position <= end {
+        (ESTIMATE, MIDDLE, position)
+    } else {
+        (MIDDLE, ALARM, position - end)
     };
-    RGBColor(
-        mix(ESTIMATE.0, ALARM.0),
-        mix(ESTIMATE.1, ALARM.1),
-        mix(ESTIMATE.2, ALARM.2),
-    )
+    let mix = |a: u8, b: u8| {
+        let mixed = i32::from(a) + (i32::from(b) - i32::from(a)) * step / end;
+        u8::try_from(mixed).unwrap_or(a)
+    };
+    RGBColor(mix(from.0, to.0), mix(from.1, to.1), mix(from.2, to.2))
 }
 
 /// Maximal runs of one shade, each ending with the first point of the next so that lines meet.
