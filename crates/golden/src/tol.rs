@@ -121,6 +121,9 @@ pub const TABLE: &[Tolerance] = &[
     abs_rel("pose.cost_initial", 0.0, 1e-14, "a sum of squares; no optimisation in it"),
     abs_rel("pose.cost", 0.0, 2e-12, "flat at the optimum; residuals of 1e-3 are differences of pixels of size 500"),
     abs_rel("pose.pose", 1e-8, 0.0, "rad, m: 1e-6 standard deviations, where a cost of 5000 is flat to its last digit"),
+    // bundle
+    abs_rel("bundle.cost", 0.0, 1e-11, "flat at the optimum; 300 parameters at 1e-6 standard deviations"),
+    abs_rel("bundle.points", 1e-7, 0.0, "m: points are ten times less certain than poses, above all along the ray"),
     // dataset
     abs_rel("dataset.rotation", 1e-15, 0.0, "entries of R, three products of unit quaternions against three of matrices"),
     abs_rel("dataset.translation", 2e-15, 0.0, "m: positions of size 3, spacing 4.4e-16, and a lever of 2 cm"),

@@ -170,13 +170,32 @@ pub fn optimise_pose(
     })
 }
 
-/// The cost of eq. 11 as a [`Problem`] of six unknowns.
+/// The cost of eq. 11 as a [`Problem`] of six unknowns, for a closer look than [`optimise_pose`]
+/// gives: every block can be shown to any [`Visitor`].
 #[derive(Debug, Clone)]
-pub(crate) struct PoseProblem {
+pub struct PoseProblem {
     intrinsics: Intrinsics,
     /// δ with 2 and with 3 rows; plain least squares without.
     huber: Option<[f64; 2]>,
     observations: Vec<PoseObservation>,
+}
+
+impl PoseProblem {
+    /// The problem of one round. `huber`: δ of observations without and with depth; `None` for
+    /// plain least squares.
+    #[must_use]
+    pub fn new(
+        camera: &Camera,
+        bf: f64,
+        huber: Option<[f64; 2]>,
+        observations: Vec<PoseObservation>,
+    ) -> Self {
+        Self {
+            intrinsics: Intrinsics::new(camera, bf),
+            huber,
+            observations,
+        }
+    }
 }
 
 impl PoseObservation {

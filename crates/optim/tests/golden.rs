@@ -2,7 +2,10 @@
 
 use garad_core::{Camera, Se3, So3};
 use garad_golden::Case;
-use garad_optim::{PoseConfig, PoseObservation, PoseSolution, RightObservation, optimise_pose};
+use garad_optim::{
+    BundleConfig, BundleObservation, BundleReport, PoseConfig, PoseObservation, PoseSolution,
+    Report, RightObservation, StopReason, optimise_bundle, optimise_pose,
+};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 fn camera(case: &Case) -> Camera {
@@ -18,12 +21,16 @@ fn pose_observations(case: &Case) -> Vec<PoseObservation> {
             p_world: Vector3::from_column_slice(&p_world[3 * i..3 * i + 3]),
             uv_px: Vector2::from_column_slice(&uv[2 * i..2 * i + 2]),
             sigma_px: sigma[i],
-            right: right[2 * i].is_finite().then(|| RightObservation {
-                u_px: right[2 * i],
-                sigma_px: right[2 * i + 1],
-            }),
+            right: right_observation(&right[2 * i..2 * i + 2]),
         })
         .collect()
+}
+
+/// (u_R, σ_R), NaN for none.
+fn right_observation(pair: &[f64]) -> Option<RightObservation> {
+    let [u_px, sigma_px] = [pair[0], pair[1]];
+    u_px.is_finite()
+        .then_some(RightObservation { u_px, sigma_px })
 }
 
 fn initial(case: &Case) -> Se3 {
@@ -104,4 +111,109 @@ fn ten_trials_are_enough() {
             assert!(report.cost <= report.cost0, "{}: {report:?}", case.name());
         }
     }
+}
+
+struct Bundle {
+    poses: Vec<Se3>,
+    points: Vec<Vector3<f64>>,
+    report: BundleReport,
+}
+
+fn adjust(case: &Case, config: &BundleConfig) -> Bundle {
+    let rotations = case.input("rotation_initial").f64();
+    let translations = case.input("translation_initial").f64();
+    let mut poses: Vec<Se3> = (rotations.chunks_exact(9).zip(translations.chunks_exact(3)))
+        .map(|(r, t)| {
+            let rotation = So3::from_matrix(&Matrix3::from_row_slice(r));
+            Se3::new(rotation, Vector3::from_column_slice(t))
+        })
+        .collect();
+    let fixed: Vec<bool> = case.input("fixed").u8().iter().map(|&f| f == 1).collect();
+    let points = case.input("points_initial").f64();
+    let mut points: Vec<_> = points
+        .chunks_exact(3)
+        .map(Vector3::from_column_slice)
+        .collect();
+    let tensors = ["uv", "sigma", "right"].map(|name| case.input(name).f64());
+    let [uv, sigma, right] = &tensors;
+    let index = |i: i64| usize::try_from(i).expect("an index");
+    let observations: Vec<BundleObservation> = (case.input("observed").i64().chunks_exact(2))
+        .enumerate()
+        .map(|(i, pair)| BundleObservation {
+            pose: index(pair[0]),
+            point: index(pair[1]),
+            uv_px: Vector2::from_column_slice(&uv[2 * i..2 * i + 2]),
+            sigma_px: sigma[i],
+            right: right_observation(&right[2 * i..2 * i + 2]),
+        })
+        .collect();
+    let report = optimise_bundle(
+        &camera(case),
+        case.param_f64("bf"),
+        &mut poses,
+        &fixed,
+        &mut points,
+        &observations,
+        config,
+    )
+    .expect("sound input");
+    Bundle {
+        poses,
+        points,
+        report,
+    }
+}
+
+fn bundle_config(case: &Case) -> BundleConfig {
+    BundleConfig {
+        chi2_2d: case.param_f64("chi2_2d"),
+        chi2_3d: case.param_f64("chi2_3d"),
+        ..BundleConfig::default()
+    }
+}
+
+#[test]
+fn bundles_are_the_optima() {
+    let mut problems = Vec::new();
+    for case in Case::load_all("bundle") {
+        let config = BundleConfig {
+            iterations: 300,
+            cost_tolerance: 1e-18,
+            ..bundle_config(&case)
+        };
+        let bundle = adjust(&case, &config);
+        let rotations = bundle.poses.iter().map(|p| p.rotation.matrix());
+        let translations = bundle.poses.iter().map(|p| p.translation);
+        for (name, got) in [
+            ("cost_initial", vec![bundle.report.report.cost0]),
+            ("cost", vec![bundle.report.report.cost]),
+            ("rotation", rotations.flat_map(|r| row_major(&r)).collect()),
+            (
+                "translation",
+                translations.flat_map(<[f64; 3]>::from).collect(),
+            ),
+            (
+                "points",
+                bundle
+                    .points
+                    .iter()
+                    .copied()
+                    .flat_map(<[f64; 3]>::from)
+                    .collect(),
+            ),
+        ] {
+            problems.extend(case.check(name, &got).err());
+        }
+        // At its default stop the cost is within 1e-6 of the optimum.
+        let config = BundleConfig {
+            iterations: 40,
+            ..bundle_config(&case)
+        };
+        let Report { cost, stop, .. } = adjust(&case, &config).report.report;
+        let optimum = case.output("cost").f64()[0];
+        if stop != StopReason::Converged || cost > optimum * (1.0 + 1e-6) {
+            problems.push(format!("{}: {stop:?} at {cost}, {optimum}", case.name()));
+        }
+    }
+    assert!(problems.is_empty(), "{}", problems.join("\n"));
 }
