@@ -64,8 +64,8 @@ impl Archive {
             .map_err(DatasetError::io(path))?;
         let mut zip = None;
         let files = if magic.starts_with(b"PK\x03\x04") || magic.starts_with(b"PK\x05\x06") {
-            let mut archive = ZipArchive::new(BufReader::new(file)).map_err(|e| broken(path, e))?;
-            let files = index_zip(path, &mut archive)?;
+            let archive = ZipArchive::new(BufReader::new(file)).map_err(|e| broken(path, e))?;
+            let files = index_zip(path, &archive)?;
             zip = Some(Mutex::new(archive));
             files
         } else if magic.starts_with(b"\x1F\x8B") {
@@ -201,13 +201,13 @@ fn find_root(path: &Path, files: &BTreeMap<String, Stored>) -> Result<String, Da
 
 fn index_zip(
     path: &Path,
-    archive: &mut ZipArchive<BufReader<File>>,
+    archive: &ZipArchive<BufReader<File>>,
 ) -> Result<BTreeMap<String, Stored>, DatasetError> {
     check_entries(path, archive.len())?;
     let mut files = BTreeMap::new();
     let mut total = 0u64;
     for index in 0..archive.len() {
-        let entry = archive.by_index_raw(index).map_err(|e| broken(path, e))?;
+        let entry = archive.by_index_data(index).map_err(|e| broken(path, e))?;
         let name = entry_name(path, entry.name_raw())?;
         // The upper bits of a Unix mode say what kind of file it is; 0 where there is none.
         match entry.unix_mode().unwrap_or(0) & 0o170_000 {

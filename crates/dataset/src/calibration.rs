@@ -305,3 +305,72 @@ fn whole(place: Place<'_>, value: f64, largest: f64) -> Result<usize, DatasetErr
         Err(place.error(format!("{value}"), "a whole number that an image can have"))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Seeded damage to good files: a camera or an error, never a panic.
+    #[test]
+    fn damaged_files_do_no_harm() {
+        let good: [&[u8]; 2] = [
+            b"# c\n640 480 535.4 539.2 320.1 247.6 5000 30 0.1 0.2 0.3 0.4 0.5\n",
+            b"width = 640\r\nheight = 480\r\nfx = 1\nfy=2\ncx=3\ncy=4\ndepth_factor=1e3\nfps=30\n",
+        ];
+        let mut refused = 0;
+        for case in 0..4000u64 {
+            let mut rng = garad_core::Rng::keyed(23, &[case]);
+            let mut bytes = good[rng.below(2)].to_vec();
+            crate::damage::damage(&mut bytes, &mut rng);
+            match Calibration::parse(Path::new("camera.txt"), &bytes) {
+                Ok(calibration) => {
+                    calibration
+                        .camera
+                        .validate()
+                        .expect("what is read is a camera");
+                    assert!(calibration.depth_factor > 0.0, "metres are finite");
+                }
+                Err(error) => {
+                    refused += 1;
+                    assert!(!error.to_string().contains('\n'), "one line: {error}");
+                }
+            }
+        }
+        assert!(
+            refused > 500,
+            "damage is noticed, {refused} of 4000 refused"
+        );
+    }
+
+    #[test]
+    fn a_row_and_its_keys_say_the_same() {
+        let parse = |text: &str| {
+            let mut calibration =
+                Calibration::parse(Path::new("c"), text.as_bytes()).expect("good");
+            calibration.source.clear();
+            calibration
+        };
+        let row = parse("640 480 1 2 3 4 5000 30 0.1 0.2 0.3 0.4 0.5\ndepth_max_raw = 9\n");
+        let d = row.camera.distortion;
+        let read = [d.k1, d.k2, d.p1, d.p2, d.k3].map(|v| (v * 10.0).round());
+        assert!(
+            read.into_iter().eq([1.0, 2.0, 3.0, 4.0, 5.0]),
+            "OpenCV's order: {d:?}"
+        );
+        let keys = "k3 = 0.5\nk2 = 0.2\nk1 = 0.1 # first\np1 = 0.3\np2 = 0.4\ndepth_max_raw = 9\n\
+                    width = 640\nheight = 480\nfx = 1\nfy = 2\ncx = 3\ncy = 4\n\
+                    depth_factor = 5000\nfps = 30\n";
+        assert_eq!(row, parse(keys), "any order");
+    }
+
+    #[test]
+    fn millimetres_have_holes_at_sixty_metres() {
+        let parse = |factor: &str| {
+            let text = format!("640 480 1 2 3 4 {factor} 30");
+            Calibration::parse(Path::new("c"), text.as_bytes()).expect("good")
+        };
+        assert_eq!(parse("1000").missing_from(), 60_000, "millimetres");
+        assert_eq!(parse("1000.5").missing_from(), 65_535, "others");
+        assert_eq!(parse("5000").missing_from(), 65_535, "others");
+    }
+}

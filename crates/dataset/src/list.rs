@@ -174,4 +174,32 @@ mod tests {
             );
         }
     }
+
+    /// Seeded damage to a good list: a list or an error, never a panic.
+    #[test]
+    fn damaged_lists_do_no_harm() {
+        let good = b"\xEF\xBB\xBF# t\r\n1.50\trgb/1.50.png\r\n2.5 rgb/2.5.png\n3 ./rgb/3.png\n";
+        let mut refused = 0;
+        for case in 0..4000u64 {
+            let mut rng = garad_core::Rng::keyed(29, &[case]);
+            let mut bytes = good.to_vec();
+            crate::damage::damage(&mut bytes, &mut rng);
+            let strict = rng.below(2) == 1;
+            match parse_list(Path::new("rgb.txt"), &bytes, strict, &mut Vec::new()) {
+                Ok(list) => {
+                    assert!(list.is_sorted_by(|a, b| a.t_s < b.t_s), "ascending");
+                    let inside = |entry: &Entry| clean_name(&entry.file).is_some();
+                    assert!(list.iter().all(inside), "names stay inside");
+                }
+                Err(error) => {
+                    refused += 1;
+                    assert!(!error.to_string().contains('\n'), "one line: {error}");
+                }
+            }
+        }
+        assert!(
+            refused > 500,
+            "damage is noticed, {refused} of 4000 refused"
+        );
+    }
 }

@@ -142,3 +142,168 @@ fn decimals(value: f64, digits: usize) -> String {
         _ => text,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn parse(text: &str) -> Result<Vec<StampedPose>, DatasetError> {
+        parse_trajectory(Path::new("t.txt"), text.as_bytes())
+    }
+
+    fn format(poses: &[StampedPose]) -> String {
+        let mut bytes = Vec::new();
+        format_trajectory(&mut bytes, poses).expect("memory takes everything");
+        String::from_utf8(bytes).expect("ASCII")
+    }
+
+    #[test]
+    fn spoilt_lines_are_named() {
+        let cases = [
+            ("1 0 0 0 0 0 0", "7 columns"),
+            ("1 0 0 0 0 0 0 1 0", "9 columns"),
+            ("1,0,0,0,0,0,0,1", "1 columns"),
+            ("nan 0 0 0 0 0 0 1", "nan"),
+            ("-1 0 0 0 0 0 0 1", "-1"),
+            ("1 0 0 inf 0 0 0 1", "inf"),
+            ("1 0 x 0 0 0 0 1", "\"x\""),
+            ("1 0 0 0 0 0 0 0", "length 0"),
+            ("1 0 0 0 0 0 0 NaN", "NaN"),
+            ("0.5 0 0 0 0 0 0 1", "time 0.5 after"),
+            ("0.25 0 0 0 0 0 0 1", "time 0.25 after"),
+        ];
+        for (line, expected) in cases {
+            let text = format!("# title\n0.5 0 0 0 0 0 0 1\n{line}\n");
+            let message = parse(&text).expect_err(line).to_string();
+            assert!(
+                message.starts_with("t.txt:3: ") && message.contains(expected),
+                "{line}: {message}"
+            );
+        }
+        assert_eq!(parse("# nothing\n").expect("no pose").len(), 0, "empty");
+    }
+
+    #[test]
+    fn quaternions_of_nearly_unit_length_are_normalised() {
+        for (qw, good) in [
+            (1.0009, true),
+            (0.9991, true),
+            (1.0011, false),
+            (0.9989, false),
+        ] {
+            let answer = parse(&format!("1 0 0 0 0 0 0 {qw}"));
+            assert_eq!(answer.is_ok(), good, "length {qw}");
+            if let Ok(poses) = answer {
+                assert_eq!(
+                    poses[0].world_from_camera.rotation,
+                    So3::identity(),
+                    "unit length"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn written_form_is_fixed() {
+        let pose = StampedPose {
+            t_s: 1_305_031_453.359_684,
+            world_from_camera: Se3::new(
+                So3::from_quaternion(0.5, -0.5, 0.5, 0.5).expect("unit length"),
+                Vector3::new(-1e-12, 0.1, -2.0),
+            ),
+        };
+        assert_eq!(
+            format(&[pose]),
+            "# timestamp tx ty tz qx qy qz qw (world_from_camera)\n\
+             1305031453.359684 0.000000000 0.100000000 -2.000000000 \
+             -0.500000000 0.500000000 0.500000000 0.500000000\n",
+            "6 and 9 decimals, w last, no negative zero"
+        );
+        assert_eq!(decimals(-0.0, 3), "0.000", "negative zero");
+        assert_eq!(decimals(-0.0006, 3), "-0.001", "no zero after rounding");
+    }
+
+    #[test]
+    fn files_are_written_whole_and_finite() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let path = folder.path().join("trajectory.txt");
+        let pose = |t_s: f64| StampedPose {
+            t_s,
+            world_from_camera: Se3::identity(),
+        };
+        write_trajectory(&path, &[pose(1.0), pose(2.0)]).expect("written");
+        assert_eq!(
+            read_trajectory(&path).expect("read"),
+            [pose(1.0), pose(2.0)],
+            "back"
+        );
+        let answer = write_trajectory(&path, &[pose(1.0), pose(f64::NAN)]);
+        assert!(
+            matches!(answer, Err(DatasetError::PoseNotFinite { index: 1, .. })),
+            "{answer:?}"
+        );
+        assert_eq!(
+            read_trajectory(&path).expect("the old one").len(),
+            2,
+            "untouched"
+        );
+        let nowhere = read_trajectory(&folder.path().join("none.txt"));
+        assert!(
+            matches!(nowhere, Err(DatasetError::NotFound { .. })),
+            "{nowhere:?}"
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_is_read(
+            v in proptest::array::uniform6(-3.0f64..3.0),
+            start in 0.0f64..2e9,
+        ) {
+            let xi = nalgebra::Vector6::from(v);
+            let poses: Vec<StampedPose> = (0..3)
+                .map(|i| StampedPose {
+                    t_s: start + f64::from(i),
+                    world_from_camera: Se3::exp(&(xi * f64::from(i))),
+                })
+                .collect();
+            let text = format(&poses);
+            let back = parse(&text).expect("our own");
+            for (a, b) in poses.iter().zip(&back) {
+                prop_assert!((a.t_s - b.t_s).abs() <= 1e-6, "time"); // half a step, and f64's own
+                let error = (a.world_from_camera.inverse() * b.world_from_camera).log();
+                prop_assert!(error.norm() < 1e-8, "{error}"); // 9 decimals, positions up to 18 m
+            }
+            // Reading the decimals and writing them again changes nothing but the last digit
+            // of a quaternion brought to unit length.
+            prop_assert_eq!(text.lines().count(), format(&back).lines().count());
+        }
+    }
+
+    /// Seeded damage to a good file: an answer or an error, never a panic.
+    #[test]
+    fn damaged_files_do_no_harm() {
+        let good = b"# t\r\n1.5 1 2 3 0 0 0 1\n2.5 -1e-3 +2 .5 0.5 -0.5 0.5 0.5\n3 0 0 0 1 0 0 0\n";
+        let mut refused = 0;
+        for case in 0..4000u64 {
+            let mut rng = garad_core::Rng::keyed(19, &[case]);
+            let mut bytes = good.to_vec();
+            crate::damage::damage(&mut bytes, &mut rng);
+            match parse_trajectory(Path::new("t.txt"), &bytes) {
+                Ok(poses) => {
+                    check_finite(Path::new("t.txt"), &poses).expect("what is read is finite");
+                    assert!(poses.is_sorted_by(|a, b| a.t_s < b.t_s), "ascending");
+                }
+                Err(error) => {
+                    refused += 1;
+                    assert!(!error.to_string().contains('\n'), "one line: {error}");
+                }
+            }
+        }
+        assert!(
+            refused > 500,
+            "damage is noticed, {refused} of 4000 refused"
+        );
+    }
+}
