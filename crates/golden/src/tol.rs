@@ -117,6 +117,9 @@ pub const TABLE: &[Tolerance] = &[
     abs_rel("image_metrics.ssim", 2e-14, 0.0, "mean over the map"),
     abs_rel("image_metrics.psnr", 2e-13, 0.0, "4.3 dB times the relative rounding of a mean of 1e4 squares; cv2 adds 2.2e-16 to the RMS"),
     abs_rel("image_metrics.depth", 0.0, 1e-15, "mean of 100 numbers"),
+    // reprojection
+    vector("reprojection.residual", 0.0, 1e-14, "differences of pixels over sigma"),
+    vector("reprojection.jacobian", 0.0, 1e-14, "a few products of the point in the camera, which is itself a rotation's rounding away"),
     // pose_lm
     abs_rel("pose.cost_initial", 0.0, 1e-14, "a sum of squares; no optimisation in it"),
     abs_rel("pose.cost", 0.0, 2e-12, "flat at the optimum; residuals of 1e-3 are differences of pixels of size 500"),

@@ -53,9 +53,9 @@ pub(crate) struct Intrinsics {
     pub(crate) bf: f64,
 }
 
-/// Nearer points count as behind the camera, metres: what the derivatives divide by stays away
-/// from 0. No depth camera sees anything there.
-pub(crate) const MIN_DEPTH_M: f64 = 1e-3;
+/// Nearer points count as behind the camera, metres. No depth camera sees anything there, and a
+/// point in the lens would fit any pixel by moving the camera a hair's breadth.
+pub(crate) const MIN_DEPTH_M: f64 = 0.05;
 
 impl Intrinsics {
     pub(crate) fn new(camera: &Camera, bf: f64) -> Self {

@@ -2,6 +2,8 @@
 
 use garad_core::{Camera, Se3, So3};
 use garad_golden::Case;
+use garad_optim::dense::{Problem, Recorder};
+use garad_optim::pose::PoseProblem;
 use garad_optim::{
     BundleConfig, BundleObservation, BundleReport, PoseConfig, PoseObservation, PoseSolution,
     Report, RightObservation, StopReason, optimise_bundle, optimise_pose,
@@ -111,6 +113,38 @@ fn ten_trials_are_enough() {
             assert!(report.cost <= report.cost0, "{}: {report:?}", case.name());
         }
     }
+}
+
+#[test]
+fn derivatives_are_those_of_the_projection() {
+    let mut problems = Vec::new();
+    for case in Case::load_all("reprojection") {
+        let camera = camera(&case);
+        let observations = pose_observations(&case);
+        let (phi, t) = (case.input("phi").f64(), case.input("t").f64());
+        let (mut residual, mut by_pose, mut by_point) = (Vec::new(), Vec::new(), Vec::new());
+        for (i, observation) in observations.iter().enumerate() {
+            let vector = |v: &[f64]| Vector3::from_column_slice(&v[3 * i..3 * i + 3]);
+            let pose = Se3::new(So3::exp(&vector(&phi)), vector(&t));
+            let bf = case.param_f64("bf");
+            let mut seen = Recorder::<6>::default();
+            PoseProblem::new(&camera, bf, None, vec![*observation]).blocks(&pose, &mut seen);
+            let block = &seen.blocks[0];
+            residual.extend(&block.residual);
+            by_pose.extend(block.jacobian.iter().flat_map(|row| row.iter().copied()));
+            let p_cam = pose * observation.p_world;
+            let point = camera.project_jacobian(&p_cam) * pose.rotation.matrix();
+            by_point.extend((point / observation.sigma_px).transpose().iter().copied());
+        }
+        for (name, got) in [
+            ("residual", residual),
+            ("by_pose", by_pose),
+            ("by_point", by_point),
+        ] {
+            problems.extend(case.check(name, &got).err());
+        }
+    }
+    assert!(problems.is_empty(), "{}", problems.join("\n"));
 }
 
 struct Bundle {

@@ -176,7 +176,53 @@ def write(name, why, data, initial, rounds, bf=40.0, flags=()):
     )
 
 
+def write_derivatives(name, why, seed, n):
+    """Residual rows and their derivatives by the pose (left perturbation, translation first) and by the point."""
+    rng = np.random.default_rng(seed)
+    phi, t = rng.uniform(-1.5, 1.5, (n, 3)).round(3), rng.uniform(-1, 1, (n, 3)).round(3)
+    p_cam = rng.uniform([-1.5, -1.0, 0.4], [1.5, 1.0, 6.0], (n, 3))
+    p_world = np.einsum("nji,nj->ni", Rotation.from_rotvec(phi).as_matrix(), p_cam - t).round(4)
+    sigma, sigma_right = (1.2 ** rng.integers(0, 8, n)).round(6), rng.uniform(0.5, 3, n).round(3)
+    uv = rng.uniform([0, 0], [640, 480], (n, 2)).round(2)
+    right = np.stack([uv[:, 0] - 10, sigma_right], 1)
+    h = mp.mpf(10) ** -15
+    k, bf = [mp.mpf(v) for v in K], mp.mpf(40)
+    rows, by_pose, by_point = [], [], []
+    for i in range(n):
+        number = lambda v: [mp.mpf(float(x)) for x in v]
+        rotation, shift, point = exp_so3(number(phi[i])), number(t[i]), number(p_world[i])
+        (u, v), (u_r, s_r), s = number(uv[i]), number(right[i]), mp.mpf(float(sigma[i]))
+
+        def residual(xi, d):
+            moved = rotation.dot(np.array(point) + d) + shift
+            x, y, z = exp_so3(list(xi[3:])).dot(moved) + xi[:3]
+            return np.array([(k[0] * x / z + k[2] - u) / s, (k[1] * y / z + k[3] - v) / s,
+                             (k[0] * x / z + k[2] - bf / z - u_r) / s_r])
+
+        zero = np.array([mp.mpf(0)] * 9)
+        columns = []
+        for c in range(9):
+            step = zero.copy()
+            step[c] = h
+            columns.append((residual(step[:6], step[6:]) - residual(-step[:6], -step[6:])) / (2 * h))
+        j = np.stack(columns, 1).astype(float)
+        rows.append(residual(zero[:6], zero[6:]).astype(float))
+        by_pose.append(j[:, :6])
+        by_point.append(j[:, 6:])
+    write_case(
+        "reprojection", name, basis="mpmath-40", why=why, script="gen/pose_lm.py", seed=seed,
+        equations=["paper:11", "E12"],
+        params={"fx": K[0], "fy": K[1], "cx": K[2], "cy": K[3], "bf": 40.0},
+        inputs={"phi": (phi, "rad"), "t": (t, "m"), "p_world": (p_world, "m"), "uv": (uv, "px"), "sigma": (sigma, "px"),
+                "right": (right, "px")},
+        outputs={"residual": (np.array(rows), "1", "reprojection.residual"),
+                 "by_pose": (np.array(by_pose), "1/m, 1/rad", "reprojection.jacobian"),
+                 "by_point": (np.array(by_point)[:, :2], "1/m", "reprojection.jacobian")},
+    )
+
+
 if __name__ == "__main__":
+    write_derivatives("derivatives", "every sign and order of the 3x6 Jacobian", 9, 24)
     for name, why, rounds, kwargs in [
         ("six_points", "small enough to read: no outlier, no depth", 1, dict(seed=1, n=6, depth_share=0, outliers=0)),
         ("mono_outliers_30", "Huber at work: 30 % of the matches are wrong", 1,
