@@ -3,7 +3,7 @@
 //! `groundtruth.txt` of that data set holds poses of a motion-capture body on the sensor, in
 //! axes of their own. The data set publishes how to get from there to the camera:
 //!
-//! world_from_camera = A · T · A · T_m,   A = (-x, z, y),                                (E1)
+//! world_from_camera = A · T · A · T_m,   A (x, y, z) = (-x, z, y),
 //!
 //! with T a pose from the file. Results on BONN are usually published against the raw file; the
 //! two differ by up to 2 cm, as the camera turns about the body. Both can be had here.
@@ -33,12 +33,12 @@ const AXES: [f64; 9] = [
      0.0, 1.0, 0.0,
 ];
 
-/// Camera poses from raw BONN ground truth, by (E1).
+/// Camera poses from raw BONN ground truth, by the [module's formula](self).
 ///
 /// # Shapes and units
 /// Metres, seconds; times stay as they are.
 /// # Numerics
-/// f64. The nearest rotation to T_m's block comes from [`nearest_rotation`].
+/// f64. The nearest rotation to T_m's block comes from Newton's iteration, to a few 1e-16.
 ///
 /// Source: ReFusion's data set page (Palazzolo et al., IROS 2019). Golden: `bonn/*`.
 #[must_use]

@@ -1,4 +1,7 @@
 //! PNG and JPEG to images: kind, size and completeness checked, always within [`crate::limits`].
+//!
+//! PNG is lossless: its pixels are the same everywhere. What a JPEG decodes to is up to the
+//! decoder, within a unit or so; results on JPEG recordings are tied to this build's decoder.
 
 use std::io::Cursor;
 use std::path::Path;

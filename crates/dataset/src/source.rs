@@ -82,7 +82,7 @@ impl Source {
 /// another disk. Devices and pipes are not opened.
 pub(crate) fn read_file(path: &Path) -> Result<Option<Vec<u8>>, DatasetError> {
     match fs::metadata(path) {
-        Ok(meta) if meta.is_file() => {}
+        Ok(meta) if meta.is_file() => check_file_size(meta.len(), path)?,
         Ok(_) => return Ok(None),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(DatasetError::io(path)(error)),

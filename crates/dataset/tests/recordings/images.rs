@@ -195,6 +195,27 @@ fn a_picture_larger_than_the_caps_is_not_decoded() {
     );
 }
 
+#[test]
+fn a_file_larger_than_the_caps_is_not_read() {
+    let recording = Recording::new(1);
+    let grow = |bytes: u64| {
+        let file = fs::OpenOptions::new()
+            .write(true)
+            .open(recording.at(DEPTH0));
+        file.and_then(|file| file.set_len(bytes)).expect("grown");
+    };
+    grow((64 << 20) + 1);
+    assert!(
+        recording.complaint(0).contains("at most 67108864"),
+        "a byte too many"
+    );
+    grow(64 << 20);
+    recording
+        .open()
+        .and_then(|d| d.read(0))
+        .expect("what follows the picture is not looked at");
+}
+
 /// CRC-32 of PNG, bit by bit.
 fn png_crc(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(!0u32, |crc, &byte| {
