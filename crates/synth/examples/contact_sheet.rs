@@ -47,8 +47,13 @@ fn main() -> Result<(), Box<dyn Error>> {
             let sheet = Image::from_fn(2 * w, h, |x, y| {
                 let at = (x % w, y);
                 if x < w {
-                    let near = (255.0 / (1.0 + frame.depth[at])).round();
-                    [near as u8; 3]
+                    #[allow(
+                        clippy::cast_possible_truncation,
+                        clippy::cast_sign_loss,
+                        reason = "0 to 255"
+                    )]
+                    let near = (255.0 / (1.0 + frame.depth[at])) as u8;
+                    [near; 3]
                 } else {
                     [
                         frame.mask[at],

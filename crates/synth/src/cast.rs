@@ -45,15 +45,15 @@ pub(crate) fn actors(name: SceneName, seed: u64) -> Vec<Actor> {
             cast.person(
                 2,
                 Arms::Swing,
-                Course::ellipse([-0.66, -0.44], [0.50, 0.12], ACROSS_RAD, 1.0, 1.0),
+                Course::ellipse([-0.88, -0.64], [0.38, 0.08], ACROSS_RAD, 1.2, 1.0),
             );
             cast.person(
                 0,
                 Arms::Swing,
-                Course::ellipse([-0.28, -0.10], [0.62, 0.12], ACROSS_RAD, 0.85, 3.4),
+                Course::ellipse([0.10, 0.06], [0.62, 0.12], ACROSS_RAD, 0.95, 3.4),
             );
-            cast.person(1, Arms::Gesture, Course::spot([-0.20, 0.62], -1.9));
-            cast.person(3, Arms::Gesture, Course::spot([0.62, -0.40], 2.7));
+            cast.person(1, Arms::Gesture, Course::spot([-0.80, 0.02], -1.5));
+            cast.person(3, Arms::Gesture, Course::spot([-0.18, -0.80], 2.9));
         }
         SceneName::StopAndGo => {
             let turn = ACROSS_RAD + 0.25;

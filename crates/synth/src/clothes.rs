@@ -85,7 +85,7 @@ impl Cloth {
                 let ink = mix(
                     b,
                     [0.95, 0.75, 0.25],
-                    f32::from(u8::from(hash(i, j, seed) % 3 == 0)) * fade(0.03, fp),
+                    f32::from(u8::from(hash(i, j, seed).is_multiple_of(3))) * fade(0.03, fp),
                 );
                 mix(a, ink, plate * text)
             }

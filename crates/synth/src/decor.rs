@@ -87,7 +87,7 @@ fn wallpaper(u: f32, v: f32, fp: f32, seed: u32) -> Rgb {
     let ((i, x), (j, y)) = (cell(u / pitch), cell(v / pitch));
     let h = hash(i, j, seed);
     let fp = fp / pitch;
-    if h % 5 == 0 {
+    if h.is_multiple_of(5) {
         return ground;
     }
     let (x, y) = (
@@ -111,7 +111,7 @@ fn bricks(u: f32, v: f32, fp: f32, seed: u32) -> Rgb {
     let (column, x) = cell(u / 0.25 + shift);
     let h = hash(column, row, seed ^ 0xb);
     let fired = mix([0.58, 0.30, 0.22], [0.72, 0.48, 0.36], part(h, 0));
-    let fired = if h % 7 == 0 {
+    let fired = if h.is_multiple_of(7) {
         scale(fired, 0.62)
     } else {
         fired

@@ -124,10 +124,12 @@ pub(crate) fn bookcase(b: &mut Builder, half_width: f64, height: f64, tone: Rgb)
         [half_width - 0.012, 0.006, 0.5 * height],
         back,
     );
-    let levels = 5;
-    let pitch = (height - 0.06) / f64::from(levels);
+    // where the books end on each shelf, as a share of its width
+    let cuts = [0.62, 0.40, 0.75, 0.30, 0.55];
+    let levels = cuts.len();
+    let pitch = (height - 0.06) / levels as f64;
     for level in 0..=levels {
-        let z = 0.05 + pitch * f64::from(level);
+        let z = 0.05 + pitch * level as f64;
         let board = wood(b, tone);
         b.block(
             [0.0, -0.006, z],
@@ -139,7 +141,7 @@ pub(crate) fn bookcase(b: &mut Builder, half_width: f64, height: f64, tone: Rgb)
         }
         let (left, right) = (-half_width + 0.02, half_width - 0.02);
         let (base, room) = (z + 0.011, pitch - 0.03);
-        let cut = left + (right - left) * [0.62, 0.40, 0.75, 0.30, 0.55][level as usize % 5];
+        let cut = left + (right - left) * cuts[level];
         match level % 3 {
             0 => {
                 books(b, [left, cut], 0.11, base, room);

@@ -11,7 +11,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::material::Material;
 use crate::pattern::{Rgb, lerp};
-use crate::shape::{FACE_AXES, Shape, Surface, face_normal};
+use crate::shape::{FACE_AXES, Shape, Surface, face_normal, length};
 use crate::solid::{Solid, rotation_along};
 
 const AMBIENT: Rgb = [0.44, 0.45, 0.48];
@@ -102,7 +102,7 @@ impl Lighting {
                     let centre = solid.world_from_solid.translation;
                     let near: Vec<&Obstacle> = obstacles
                         .iter()
-                        .filter(|o| (o.centre - centre).norm() < CORNER_M + o.radius)
+                        .filter(|o| o.is_near(&centre))
                         .filter(|o| !o.contains(&centre))
                         .collect();
                     #[allow(clippy::cast_possible_truncation, reason = "light is f32")]
@@ -175,7 +175,7 @@ fn faces(solid: &Solid, half: &Vector3<f64>, outward: f64, obstacles: &[Obstacle
         let reach = libm::hypot(half[a], half[b]);
         let near: Vec<&Obstacle> = obstacles
             .iter()
-            .filter(|o| (o.centre - middle).norm() < reach + CORNER_M + o.radius)
+            .filter(|o| length(&(o.centre - middle)) < reach + CORNER_M + o.radius)
             .filter(|o| (o.centre - middle).dot(&n_world) > -o.radius)
             .collect();
         let mut values = Vec::with_capacity(nodes[0] * nodes[1]);
@@ -209,15 +209,19 @@ fn faces(solid: &Solid, half: &Vector3<f64>, outward: f64, obstacles: &[Obstacle
 
 /// Irradiance at a point of a static surface.
 fn node(p: &Vector3<f64>, n: &Vector3<f64>, near: &[&Obstacle], all: &[Obstacle]) -> Rgb {
+    let near: Vec<&Obstacle> = near.iter().filter(|o| o.is_near(p)).copied().collect();
     if near.iter().any(|o| o.contains(p)) {
         // below a cupboard: seen by nobody, but its neighbours blend with it
         return AMBIENT.map(|a| 0.25 * a);
     }
     #[allow(clippy::cast_possible_truncation, reason = "light is f32")]
-    let open = open_sky(p, n, near) as f32;
+    let open = open_sky(p, n, &near) as f32;
     lit(p, n, open, |lamp| {
         let to_lamp = Vector3::from(lamp.at) - p;
-        !all.iter().any(|o| o.blocks(p, &to_lamp))
+        let way = length(&to_lamp);
+        let d = to_lamp / way;
+        !all.iter()
+            .any(|o| o.distance(p, &d, way).is_some_and(|t| t < way))
     })
 }
 
@@ -233,7 +237,7 @@ fn open_sky(p: &Vector3<f64>, n: &Vector3<f64>, near: &[&Obstacle]) -> f64 {
         let d = frame * Vector3::new(r * cos, r * sin, (1.0 - r2).sqrt());
         let mut free = wall_distance(p, &d).min(CORNER_M);
         for o in near {
-            if let Some(t) = o.distance(p, &d) {
+            if let Some(t) = o.distance(p, &d, free) {
                 free = free.min(t);
             }
         }
@@ -283,28 +287,29 @@ impl Obstacle {
         self.rotation * p + self.solid_from_world.translation
     }
 
+    /// Near enough to darken a corner at p.
+    fn is_near(&self, p: &Vector3<f64>) -> bool {
+        let reach = CORNER_M + self.radius;
+        (self.centre - p).norm_squared() < reach * reach
+    }
+
     fn contains(&self, p: &Vector3<f64>) -> bool {
         (p - self.centre).norm_squared() < self.radius * self.radius
             && self.shape.contains(&self.to_solid(p))
     }
 
-    /// Distance along a unit direction, by the ball around it first.
-    fn distance(&self, p: &Vector3<f64>, d: &Vector3<f64>) -> Option<f64> {
+    /// Distance along a unit direction; may be `None` if it is `limit` or more. The ball around the
+    /// solid is asked first.
+    fn distance(&self, p: &Vector3<f64>, d: &Vector3<f64>, limit: f64) -> Option<f64> {
         let to_centre = self.centre - p;
         let along = to_centre.dot(d);
         let miss2 = to_centre.norm_squared() - along * along;
-        if miss2 > self.radius * self.radius || along < -self.radius {
+        let ends = along < -self.radius || along > limit + self.radius;
+        if ends || miss2 > self.radius * self.radius {
             return None;
         }
         self.shape
             .intersect(&self.to_solid(p), &(self.rotation * d))
-    }
-
-    /// Whether it lies between a point and the end of `way`.
-    fn blocks(&self, p: &Vector3<f64>, way: &Vector3<f64>) -> bool {
-        let length = way.norm();
-        self.distance(p, &(way / length))
-            .is_some_and(|t| t < length)
     }
 }
 

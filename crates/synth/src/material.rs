@@ -211,7 +211,7 @@ fn screen(s: &Surface, fp: f32, seed: u32) -> Rgb {
         let (w, t) = (lerp(0.35, 0.5, part(h, 2)) * s.half[0], 0.5 * s.half[1]);
         let pane = band(u - cx, -w, w, fp) * band(v - cy, -t, t, fp);
         let bar = band(v - cy, t - 0.018, t, fp);
-        let dark = h % 2 == 0;
+        let dark = h.is_multiple_of(2);
         let (paper, ink) = if dark {
             ([0.10, 0.11, 0.14], [0.65, 0.85, 0.60])
         } else {
@@ -228,7 +228,7 @@ fn keyboard(u: f32, v: f32, fp: f32, seed: u32) -> Rgb {
     let (i, x) = cell(u / 0.019);
     let (j, y) = cell(v / 0.019);
     let letter = disc(x - 0.4, y - 0.6, 0.22, fp / 0.019) * fade(0.019, fp);
-    let tone = if hash(i, j, seed) % 9 == 0 {
+    let tone = if hash(i, j, seed).is_multiple_of(9) {
         0.42
     } else {
         0.24

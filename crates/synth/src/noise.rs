@@ -37,7 +37,7 @@ pub fn depth_step_m(z_m: f64) -> f64 {
 fn quantised(z_m: f64) -> f64 {
     let steps = (BASELINE_FOCAL_M_PX / (z_m * DISPARITY_STEP_PX)).round();
     let z = BASELINE_FOCAL_M_PX / (steps * DISPARITY_STEP_PX);
-    if z >= RANGE_M[0] && z <= RANGE_M[1] {
+    if (RANGE_M[0]..=RANGE_M[1]).contains(&z) {
         z
     } else {
         0.0
@@ -63,7 +63,7 @@ pub(crate) fn measured_depth(
         let (noise, drop) = (rng.normal(), rng.uniform());
         let holes =
             grazing_dropout(incidence.data()[i]).max(edge_dropout(depth, i % width, i / width));
-        if !(z > 0.0) || drop < holes {
+        if z <= 0.0 || drop < holes {
             return 0.0;
         }
         #[allow(clippy::cast_possible_truncation, reason = "depth images are f32")]
@@ -129,10 +129,11 @@ mod tests {
     /// Axial noise and rounding are independent: their variances add, step²/12 for the rounding.
     #[test]
     fn depth_noise_has_the_stated_spread() {
-        for (z, sigma) in [(1.0, 0.001_884), (2.0, 0.006_064), (3.0, 0.014_044)] {
+        for (z_m, sigma) in [(1.0f32, 0.001_884), (2.0, 0.006_064), (3.0, 0.014_044)] {
+            let z = f64::from(z_m);
             assert!((depth_sigma_m(z) - sigma).abs() < 1e-12, "formula at {z}");
             let (w, h) = (200, 150);
-            let depth = Image::new(w, h, z as f32);
+            let depth = Image::new(w, h, z_m);
             let seen = measured_depth(&depth, &Image::new(w, h, 1.0), (5, 0), Par::Seq);
             let n = (w * h) as f64;
             assert!(seen.data().iter().all(|&d| d > 0.0), "no holes on a wall");

@@ -7,7 +7,8 @@
 #![allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "lattice cells of a room fit i32, and hashing wraps on purpose"
+    clippy::imprecise_flops,
+    reason = "lattice cells of a room fit i32, hashing wraps on purpose, and lengths are of order 1"
 )]
 
 /// A colour as stored in a picture, [0, 1], red first.
@@ -168,7 +169,7 @@ pub(crate) fn print(u: f32, v: f32, pitch: f32, fp: f32, seed: u32) -> f32 {
     let (column, x) = cell(u / (0.6 * pitch));
     let letter = hash(column, row, seed);
     // about every sixth letter is a gap
-    if letter % 6 == 0 || !(0.2..0.8).contains(&y) || x > 0.8 {
+    if letter.is_multiple_of(6) || !(0.2..0.8).contains(&y) || x > 0.8 {
         return lerp(MEAN, 0.0, w);
     }
     let dot = floor(x / 0.4).min(1) + 2 * floor((y - 0.2) / 0.2).min(2);

@@ -5,6 +5,7 @@ use garad_core::{DepthImage, Image, Par, RgbImage};
 use crate::light::Lighting;
 use crate::material::Material;
 use crate::pattern::Rgb;
+use crate::shape::length;
 use crate::view::{Hit, View};
 
 /// Rows of pixels per piece of work.
@@ -101,7 +102,7 @@ fn shade(
     let p = view.point_in_solid(&hit, u, v);
     let d = view.direction_in_solid(hit.index, u, v);
     let (surface, n) = solid.shape.surface(&p);
-    let incidence = (-n.dot(&d) / d.norm()).max(0.0);
+    let incidence = (-n.dot(&d) / length(&d)).max(0.0);
     // width of the pixel on the surface: longer along the slope, but blurred no more than 5 times
     let footprint = spread * hit.z / view.camera.fx / incidence.max(0.2);
     let albedo = solid.material.albedo(&surface, footprint as f32);

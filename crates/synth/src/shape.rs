@@ -97,7 +97,8 @@ impl Shape {
                 (flat(face, half), face_normal(face))
             }
             Self::Ellipsoid { radii } => {
-                let normal = p.component_div(&radii.component_mul(radii)).normalize();
+                let normal = p.component_div(&radii.component_mul(radii));
+                let normal = normal / length(&normal);
                 (round(0.5 * (radii.x + radii.y), p.z, radii.z), normal)
             }
             Self::Drum {
@@ -105,7 +106,7 @@ impl Shape {
                 half_height,
             } => {
                 let half = Vector3::new(*radius, *radius, *half_height);
-                let rho = p.xy().norm();
+                let rho = p.xy().norm_squared().sqrt();
                 if p.z.abs() / half_height > rho / radius {
                     let face = if p.z > 0.0 { 5 } else { 4 };
                     (flat(face, &half), face_normal(face))
@@ -121,7 +122,7 @@ impl Shape {
                 } else if p.z >= length + r1 * sin {
                     (p - Vector3::new(0.0, 0.0, *length)) / *r1
                 } else {
-                    let rho = p.xy().norm();
+                    let rho = p.xy().norm_squared().sqrt();
                     Vector3::new(p.x / rho * cos, p.y / rho * cos, sin)
                 };
                 (
@@ -168,13 +169,20 @@ impl Shape {
             Self::Drum {
                 radius,
                 half_height,
-            } => p.z.abs() < *half_height && p.xy().norm() < *radius,
+            } => p.z.abs() < *half_height && p.xy().norm_squared() < radius * radius,
             Self::Limb { r0, r1, length } => {
                 let s = (p.z / length).clamp(0.0, 1.0);
-                (p - Vector3::new(0.0, 0.0, s * length)).norm() < r0 + (r1 - r0) * s
+                let r = r0 + (r1 - r0) * s;
+                (p - Vector3::new(0.0, 0.0, s * length)).norm_squared() < r * r
             }
         }
     }
+}
+
+/// |v|. With `libm-force` nalgebra's own norm takes its square root in software: same bits, later.
+#[inline]
+pub(crate) fn length(v: &Vector3<f64>) -> f64 {
+    v.norm_squared().sqrt()
 }
 
 /// [enter, leave] of the box |x| ≤ half; `enter > leave` when the ray passes by.
