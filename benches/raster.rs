@@ -1,7 +1,7 @@
 //! The rasterizer's forward pass: 640x480, 10 000 to 200 000 Gaussians, one and two threads, f32.
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use garad_core::{Camera, GaussianMap, KeyframeId, NewGaussian, Par, Rng, Se3};
+use garad_core::{Camera, GaussianMap, KeyframeId, NewGaussian, Par, Real, Rng, Se3};
 use garad_raster::{RenderOptions, render};
 use std::hint::black_box;
 
@@ -20,17 +20,17 @@ fn room(n: usize, camera: &Camera) -> GaussianMap<f32> {
             z,
         ];
         let i = map.push(&NewGaussian {
-            mean: mean.map(|m| m as f32),
+            mean: mean.map(Real::to_f32),
             sigma_m: 0.01,
-            opacity: rng.range(0.1, 0.95) as f32,
-            color: [0; 3].map(|_| rng.uniform() as f32),
+            opacity: rng.range(0.1, 0.95).to_f32(),
+            color: [0; 3].map(|_| rng.uniform().to_f32()),
             landmark: None,
             born: KeyframeId(0),
         });
         for k in 0..3 {
-            map.log_scales[i][k] += 0.5 * rng.normal() as f32;
+            map.log_scales[i][k] += (0.5 * rng.normal()).to_f32();
         }
-        map.quaternions[i] = [0; 4].map(|_| rng.normal() as f32);
+        map.quaternions[i] = [0; 4].map(|_| rng.normal().to_f32());
     }
     map
 }

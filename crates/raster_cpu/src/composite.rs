@@ -1,11 +1,11 @@
-//! One tile: splats blended front to back into its pixels (R9 to R11).
+//! One tile: splats blended front to back into its pixels (R9 to R12).
 
 use garad_core::Real;
 
 use crate::project::{PixelRect, Projected, to_index};
 
-/// A splat thinner than this at a pixel is left out there (R10): half a step of an 8-bit
-/// channel even on a white background. Source: 3D Gaussian Splatting.
+/// A splat thinner than this at a pixel is left out there (R10): it would move an 8-bit channel
+/// by one step at most. Source: 3D Gaussian Splatting.
 pub const MIN_ALPHA: f64 = 1.0 / 255.0;
 /// No splat covers a pixel entirely (R10), so that 1 - alpha can be divided by. The two cuts
 /// touch: (1 - 0.99)² is [`MIN_TRANSMITTANCE`]. A second full splat is still blended in f64 and
@@ -152,7 +152,7 @@ impl<T: Real> Reach<T> {
     /// `None` when no pixel of the tile can be reached.
     fn new(splat: &Projected<T>, tile: &PixelRect) -> Option<Self> {
         let brightest = T::from_f64(255.0) * splat.opacity;
-        // ln is taken of at least 1 minus the rounding of MIN_ALPHA.
+        // Not positive where no pixel can pass; -∞ for opacity 0.
         let k = T::from_f64(2.02) * brightest.ln() + T::from_f64(0.02);
         if k <= T::ZERO {
             return None;
@@ -236,14 +236,16 @@ mod tests {
     #[test]
     fn a_splat_that_would_leave_too_little_ends_the_pixel() {
         let full = splat(1.0, [1.0; 3], 1.0);
+        let most = splat(0.98, [1.0; 3], 1.0);
         let thin = splat(0.01, [1.0; 3], 2.0);
-        let at = composite_tile(&[full, thin], &[0, 0, 0, 1], &TILE)[6 + 2];
-        // 0.99 twice; the third full one is refused, and the thin one behind it, which would
-        // have fitted, is not asked any more.
+        let splats = [full, most, thin];
+        // 0.01 · 0.02 = 2e-4 is left; the next full one is refused, and the thin one behind it,
+        // which would have left 1.98e-4, is not asked any more.
+        let at = composite_tile(&splats, &[0, 1, 0, 2], &TILE)[6 + 2];
         assert_eq!((at.contributors, at.last), (2, 2), "closed by the third");
-        assert!((at.transmittance - 1e-4).abs() < 1e-15, "0.01 · 0.01");
-        let at = composite_tile(&[full, thin], &[0, 1, 0], &TILE)[6 + 2];
-        assert_eq!((at.contributors, at.last), (2, 2), "full, thin");
+        assert!((at.transmittance - 2e-4).abs() < 1e-15, "0.01 · 0.02");
+        let at = composite_tile(&splats, &[0, 1, 2, 0], &TILE)[6 + 2];
+        assert_eq!((at.contributors, at.last), (3, 3), "in front of it, it is");
     }
 
     #[test]

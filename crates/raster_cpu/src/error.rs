@@ -3,9 +3,9 @@
 use garad_core::CameraError;
 use thiserror::Error;
 
-/// What is wrong with the input of [`crate::render`].
+/// What is wrong with the input of [`crate::render()`].
 ///
-/// A single Gaussian with a bad number is no error: it is invisible (see [`crate::project`]).
+/// A single Gaussian with a bad number is no error: it is invisible (see [`crate::Projected`]).
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum RasterError {

@@ -2,11 +2,11 @@
 //!
 //! ```text
 //! GaussianMap ─ project ─→ Projected ─ sort, Tiles ─→ list per tile ─ composite ─→ Rendered
-//!   + View      R1 to R8    per splat    bin           of positions    R9 to R12
+//!   + View      R1 to R7    per splat    bin, R8       of positions    R9 to R12
 //! ```
 //!
-//! Reading order: [`render()`] → `view` → `covariance`, `color`, [`project`] → `bin` →
-//! [`composite`]. Formulas are numbered R1, R2, ... and derived in `docs/math.md`. Constants and
+//! Reading order: `render` → `view` → `covariance`, `color`, `project` → `bin` → `composite`.
+//! Formulas are numbered R1, R2, ... and derived in `docs/math.md`. Constants and
 //! cuts are those of the CUDA rasterizer of 3D Gaussian Splatting, so that trained maps look
 //! here as they do elsewhere; what differs is the principal point, which is free, and that
 //! formulas are arranged not to cancel.
@@ -16,10 +16,10 @@
 
 mod bin;
 mod color;
-pub mod composite;
+mod composite;
 mod covariance;
 mod error;
-pub mod project;
+mod project;
 mod render;
 mod view;
 

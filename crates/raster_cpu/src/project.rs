@@ -1,4 +1,4 @@
-//! One Gaussian becomes one splat: [`Projected`] (R1 to R8).
+//! One Gaussian becomes one splat: [`Projected`] (R1 to R7).
 
 use garad_core::{GaussianMap, Label, Par, Real};
 
@@ -42,6 +42,10 @@ impl PixelRect {
 }
 
 /// A visible Gaussian as the picture sees it.
+///
+/// A Gaussian is invisible, and never an error, when its label is not asked for, when its
+/// z ≤ 0.2 m, when its footprint misses the picture, when one of its numbers is not finite, when
+/// its quaternion has no direction, or when its projection overflows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Projected<T> {
     /// Row in the map.
@@ -69,10 +73,6 @@ pub struct Projected<T> {
 }
 
 /// The visible splats of a map, in map order.
-///
-/// A Gaussian is invisible, and never an error, when its label is not asked for, when its
-/// z ≤ 0.2 m, when its footprint misses the picture, or when one of its numbers is not finite,
-/// its quaternion has no direction, or its projection overflows.
 ///
 /// # Numerics
 /// Each splat depends on its own row alone: the same bits for every `Par`.
@@ -127,6 +127,7 @@ fn project_one<T: Real>(map: &GaussianMap<T>, i: usize, view: &View<T>) -> Optio
         return None;
     }
 
+    // R9, R7: how much it hides, and its colour.
     let opacity = sigmoid(map.opacity_logits[i]);
     if !opacity.is_finite() {
         return None;
