@@ -2,7 +2,8 @@
 //!
 //! Pictures in, points and correspondences out; nothing here knows of maps or Gaussians.
 //! Reading order: [`fast9`] (corners) → [`orb`] (spread over the picture, turned, described) →
-//! [`descriptor`], [`matching`] (which point is which).
+//! [`descriptor`], [`matching`] (which point is which) →
+//! [`lk`] (where a point went).
 //!
 //! Everything up to sub-pixel tracking is integer arithmetic with the definitions of OpenCV and
 //! ORB-SLAM3, so that a port can be compared bit by bit.
@@ -10,10 +11,12 @@
 pub mod descriptor;
 pub mod error;
 pub mod fast9;
+pub mod lk;
 pub mod matching;
 pub mod orb;
 
 pub use descriptor::Descriptor;
 pub use error::FeatureError;
+pub use lk::{LkConfig, LkPyramid, LkStatus, LkTrack};
 pub use matching::{Match, MatchConfig};
 pub use orb::{Features, Keypoint, OrbConfig, OrbExtractor};

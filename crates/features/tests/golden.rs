@@ -2,9 +2,10 @@
 
 use garad_core::{GrayImage, Par};
 use garad_features::fast9::{self, Window};
+use garad_features::lk::{self, pyramid::scharr};
 use garad_features::matching::nearest;
 use garad_features::orb::{blur, orientation};
-use garad_features::{Descriptor, MatchConfig, OrbConfig, OrbExtractor};
+use garad_features::{Descriptor, LkConfig, LkPyramid, MatchConfig, OrbConfig, OrbExtractor};
 use garad_golden::{Case, Tensor};
 
 fn gray(tensor: &Tensor) -> GrayImage {
@@ -56,6 +57,9 @@ fn pyramid_filters() {
     for case in Case::load_all("pyramid") {
         let image = gray(case.input("image"));
         check(&case, "gauss7", blur::blur(&image).data().iter().copied());
+        let (dx, dy) = scharr(&image);
+        check(&case, "scharr_x", dx.data().iter().copied());
+        check(&case, "scharr_y", dy.data().iter().copied());
     }
 }
 
@@ -140,3 +144,55 @@ fn matching() {
         );
     }
 }
+
+fn pairs(tensor: &Tensor) -> Vec<[f32; 2]> {
+    tensor.f32().as_chunks::<2>().0.to_vec()
+}
+
+#[test]
+fn lucas_kanade() {
+    for case in Case::load_all("lk") {
+        let levels = case.param_usize("levels");
+        let prev = LkPyramid::new(&gray(case.input("prev")), levels).expect("an image");
+        let next = LkPyramid::new(&gray(case.input("next")), levels).expect("an image");
+        let points = pairs(case.input("points"));
+        let config = LkConfig::default();
+        let run = |track: Track| {
+            track(&prev, &next, &points, None, &config, Par::Threads(2)).expect("sizes agree")
+        };
+        let found = run(lk::track);
+        check(
+            &case,
+            "status",
+            found.iter().map(|t| u8::from(t.is_tracked())),
+        );
+        // Positions are compared on the corners, which come first; the rest is flat or outside.
+        let corners = &found[..case.output("xy").shape()[0]];
+        for name in ["xy", "xy_opencv"] {
+            check(&case, name, corners.iter().flat_map(|t| t.xy));
+        }
+        for name in ["residual", "residual_opencv"] {
+            check(&case, name, corners.iter().map(|t| t.residual));
+        }
+        if has(&case, "flow_truth") {
+            let moved = corners.iter().zip(&points);
+            let flow = moved.flat_map(|(t, p)| [t.xy[0] - p[0], t.xy[1] - p[1]]);
+            check(&case, "flow_truth", flow);
+        }
+        assert_eq!(
+            run(lk::track_reference),
+            found,
+            "{}: reference and fast",
+            case.name()
+        );
+    }
+}
+
+type Track = fn(
+    &LkPyramid,
+    &LkPyramid,
+    &[[f32; 2]],
+    Option<&[[f32; 2]]>,
+    &LkConfig,
+    Par,
+) -> Result<Vec<garad_features::LkTrack>, garad_features::FeatureError>;

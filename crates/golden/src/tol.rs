@@ -102,6 +102,15 @@ pub const TABLE: &[Tolerance] = &[
     vector("raster.f32.depth_m", 0.0, 1.1e-6, "8 x 1.3e-7"),
     vector("raster.f32.conic", 0.0, 4.6e-6, "8 x 5.7e-7"),
     Tolerance { name: "raster.f32.flips", class: Class::Banded { tight: 1e-4, share: 2e-2, hard: 1e-2 }, reason: "a splat that crosses 1/255 moves a channel by up to 1/255 and what lies behind it" },
+    // lk: positions in f32 from sums of integers
+    abs_rel("lk.xy", 1e-4, 0.0, "an ulp of a coordinate is 3e-5 px; steps end at 1e-2 px in the same order of operations"),
+    Tolerance { name: "lk.xy_opencv", class: Class::Banded { tight: 5e-4, share: 1e-2, hard: 1e-2 }, reason: "OpenCV adds its sums in f32 and lane by lane; a step of 0.01 px more or less" },
+    abs_rel("lk.residual", 1e-4, 0.0, "grey levels; follows the position"),
+    Tolerance { name: "lk.residual_opencv", class: Class::Banded { tight: 1e-3, share: 0.5, hard: 3e-2 }, reason: "grey levels; follows the position" },
+    Tolerance { name: "lk.flow_truth", class: Class::Banded { tight: 0.05, share: 0.5, hard: 1e3 }, reason: "the true motion: half of all corners within 0.05 px" },
+    // epipolar: products of a few matrices in f64
+    vector("epipolar.fundamental", 0.0, 1e-12, "three products of 3x3 matrices, scaled and signed alike"),
+    abs_rel("epipolar.distance", 1e-10, 1e-10, "a quotient whose numerator cancels near the line, f = 500 px"),
     // trajectory
     abs_rel("trajectory.rotation", 2e-15, 0.0, "entries of R; eigenvectors of a 4x4 matrix"),
     abs_rel("trajectory.rotation_narrow", 1e-10, 0.0, "1e-16 over the ratio 1e-6 of the variances across and along the line"),

@@ -6,15 +6,18 @@
 //! bright possible ⇔ min over pairs of max(p, p') > I(q) + t
 //! dark possible   ⇔ max over pairs of min(p, p') < I(q) - t
 //!
-//! That is `min` and `max` of bytes without a branch, which the compiler turns into 16 pixels at
-//! a time. Only the few pixels that pass get their arcs looked at.
+//! That is `min` and `max` of bytes without a branch, which the compiler turns into 16 pixels per
+//! instruction. A block in which no pixel passes is done; in the few others all pixels are scored
+//! the same way, which costs less than picking out those that passed.
 
 use garad_core::GrayImage;
 
 use super::{BORDER, CIRCLE, Window};
 
-/// Pixels tested together.
-const LANES: usize = 16;
+/// Pixels handled together.
+const LANES: usize = 32;
+
+type Lanes = [u8; LANES];
 
 /// As [`super::reference::score_window`], with the same numbers.
 ///
@@ -26,32 +29,35 @@ pub fn score_window(image: &GrayImage, threshold: u8, window: Window, scores: &m
     }
     let Window { x0, x1, y0, y1 } = window;
     for y in y0..y1 {
-        if x0 >= x1 {
-            break;
-        }
-        // The seven rows of the circle, each from 3 left of the window to 3 right of it.
-        let rows: [&[u8]; 7] =
-            std::array::from_fn(|j| &image.row(y + j - BORDER)[x0 - BORDER..x1 + BORDER]);
-        let out = &mut scores.row_mut(y)[x0..x1];
-        out.fill(0);
-        let mut x = 0;
-        while x + LANES <= out.len() {
-            score_block(&rows, x, threshold, out);
-            x += LANES;
-        }
-        for (x, out) in out.iter_mut().enumerate().skip(x) {
-            *out = score_pixel(&rows, x, threshold);
+        let rows: [&[u8]; 7] = std::array::from_fn(|j| image.row(y + j - BORDER));
+        let out = scores.row_mut(y);
+        let mut x = x0;
+        while x < x1 {
+            // The last block starts earlier, to end with the row; what is written twice is equal.
+            let first = x.min((image.width() - BORDER).saturating_sub(LANES));
+            let end = (x + LANES).min(x1);
+            if first >= BORDER {
+                let block = score_block(&rows, first, threshold);
+                out[x..end].copy_from_slice(&block[x - first..end - first]);
+            } else {
+                for (x, out) in (x..end).zip(&mut out[x..end]) {
+                    *out = score_pixel(&rows, x, threshold);
+                }
+            }
+            x = end;
         }
     }
 }
 
-/// Tests 16 pixels together and scores those that pass.
-fn score_block(rows: &[&[u8]; 7], x: usize, threshold: u8, out: &mut [u8]) {
-    let load = |(dx, dy): (isize, isize)| -> &[u8; LANES] {
-        let row = rows[3usize.wrapping_add_signed(dy)];
-        let start = (x + 3).wrapping_add_signed(dx);
-        row[start..].first_chunk().unwrap_or(&[0; LANES])
+/// Scores of the pixels `x..x + LANES` of the middle row.
+fn score_block(rows: &[&[u8]; 7], x: usize, threshold: u8) -> Lanes {
+    let load = |(dx, dy): (isize, isize)| -> Lanes {
+        let start = x.wrapping_add_signed(dx);
+        let mut lanes = [0; LANES];
+        lanes.copy_from_slice(&rows[3usize.wrapping_add_signed(dy)][start..start + LANES]);
+        lanes
     };
+    let centre = load((0, 0));
     let mut smallest_max = [255u8; LANES];
     let mut largest_min = [0u8; LANES];
     for k in 0..8 {
@@ -61,39 +67,33 @@ fn score_block(rows: &[&[u8]; 7], x: usize, threshold: u8, out: &mut [u8]) {
             largest_min[i] = largest_min[i].max(a[i].min(b[i]));
         }
     }
-    let centre = load((0, 0));
-    let mut possible = [0u8; LANES];
+    let mut possible = 0;
     for i in 0..LANES {
-        let bright = smallest_max[i].saturating_sub(centre[i]);
-        let dark = centre[i].saturating_sub(largest_min[i]);
-        possible[i] = bright.max(dark).saturating_sub(threshold);
+        possible |= above(
+            contrast(centre[i], smallest_max[i], largest_min[i]),
+            threshold,
+        );
     }
-    if u128::from_le_bytes(possible) == 0 {
-        return;
+    if possible == 0 {
+        return [0; LANES];
     }
-    for i in 0..LANES {
-        if possible[i] > 0 {
-            out[x + i] = score_pixel(rows, x + i, threshold);
-        }
-    }
+    let ring = CIRCLE.map(load);
+    let (darkest, brightest) = best_arcs(&ring);
+    std::array::from_fn(|i| above(contrast(centre[i], darkest[i], brightest[i]), threshold))
 }
 
-/// The score of one pixel, 0 if below the threshold.
-///
-/// Minima over 9 in a row come from minima over 2, 4 and 8 in a row, all around the circle:
-/// 64 comparisons instead of 128.
-fn score_pixel(rows: &[&[u8]; 7], x: usize, threshold: u8) -> u8 {
-    let centre = rows[3][x + 3];
-    let p: [u8; 16] = std::array::from_fn(|k| {
-        let (dx, dy) = CIRCLE[k];
-        rows[3usize.wrapping_add_signed(dy)][(x + 3).wrapping_add_signed(dx)]
-    });
-    let darkest_of_best_arc = nine_in_a_row(p, u8::min).into_iter().fold(0, u8::max);
-    let brightest_of_best_arc = nine_in_a_row(p, u8::max).into_iter().fold(255, u8::min);
-    let contrast = darkest_of_best_arc
-        .saturating_sub(centre)
-        .max(centre.saturating_sub(brightest_of_best_arc));
-    // contrast 0 has no score; score >= threshold is contrast > threshold.
+/// By how much an arc whose darkest pixel is `darkest` is brighter than the centre, or one whose
+/// brightest is `brightest` darker; 0 if neither.
+#[inline]
+fn contrast(centre: u8, darkest: u8, brightest: u8) -> u8 {
+    let brighter_by = darkest.saturating_sub(centre);
+    let darker_by = centre.saturating_sub(brightest);
+    brighter_by.max(darker_by)
+}
+
+/// The score contrast - 1 if that is at least the threshold (not 0), else 0.
+#[inline]
+fn above(contrast: u8, threshold: u8) -> u8 {
     if contrast > threshold {
         contrast - 1
     } else {
@@ -101,13 +101,45 @@ fn score_pixel(rows: &[&[u8]; 7], x: usize, threshold: u8) -> u8 {
     }
 }
 
-/// `pick` over each run of 9 consecutive values of the ring.
-fn nine_in_a_row(ring: [u8; 16], pick: fn(u8, u8) -> u8) -> [u8; 16] {
-    let merge = |a: [u8; 16], b: [u8; 16], shift: usize| -> [u8; 16] {
-        std::array::from_fn(|k| pick(a[k], b[(k + shift) % 16]))
+/// Over the 16 arcs of 9: the largest minimum and the smallest maximum, lane by lane.
+///
+/// Minima over 9 in a row come from minima over 2, 4 and 8 in a row, all around the circle:
+/// 64 comparisons instead of 128.
+fn best_arcs<const N: usize>(ring: &[[u8; N]; 16]) -> ([u8; N], [u8; N]) {
+    let merge = |a: &[[u8; N]; 16], b: &[[u8; N]; 16], shift: usize, smaller: bool| {
+        let mut out = [[0; N]; 16];
+        for k in 0..16 {
+            let (a, b) = (&a[k], &b[(k + shift) % 16]);
+            for i in 0..N {
+                out[k][i] = if smaller {
+                    a[i].min(b[i])
+                } else {
+                    a[i].max(b[i])
+                };
+            }
+        }
+        out
     };
-    let two = merge(ring, ring, 1);
-    let four = merge(two, two, 2);
-    let eight = merge(four, four, 4);
-    merge(eight, ring, 8)
+    let nine = |smaller: bool| {
+        let two = merge(ring, ring, 1, smaller);
+        let four = merge(&two, &two, 2, smaller);
+        let eight = merge(&four, &four, 4, smaller);
+        merge(&eight, ring, 8, smaller)
+    };
+    let (mut largest_min, mut smallest_max) = ([0; N], [255; N]);
+    for (minimum, maximum) in nine(true).iter().zip(&nine(false)) {
+        for i in 0..N {
+            largest_min[i] = largest_min[i].max(minimum[i]);
+            smallest_max[i] = smallest_max[i].min(maximum[i]);
+        }
+    }
+    (largest_min, smallest_max)
+}
+
+/// One pixel, where the picture is too narrow for a block.
+fn score_pixel(rows: &[&[u8]; 7], x: usize, threshold: u8) -> u8 {
+    let ring =
+        CIRCLE.map(|(dx, dy)| [rows[3usize.wrapping_add_signed(dy)][x.wrapping_add_signed(dx)]]);
+    let ([darkest], [brightest]) = best_arcs(&ring);
+    above(contrast(rows[3][x], darkest, brightest), threshold)
 }
