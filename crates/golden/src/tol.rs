@@ -126,6 +126,9 @@ pub const TABLE: &[Tolerance] = &[
     abs_rel("image_metrics.ssim", 2e-14, 0.0, "mean over the map"),
     abs_rel("image_metrics.psnr", 2e-13, 0.0, "4.3 dB times the relative rounding of a mean of 1e4 squares; cv2 adds 2.2e-16 to the RMS"),
     abs_rel("image_metrics.depth", 0.0, 1e-15, "mean of 100 numbers"),
+    // robust
+    abs_rel("robust.rho", 0.0, 2e-15, "Huber's 2 delta sqrt(s) - delta^2 is at least half of its first term; log1p"),
+    abs_rel("robust.weight", 1e-16, 1e-15, "Tukey's 1 - s/c^2 loses digits towards c"),
     // reprojection
     vector("reprojection.residual", 0.0, 1e-14, "differences of pixels over sigma"),
     vector("reprojection.jacobian", 0.0, 1e-14, "a few products of the point in the camera, which is itself a rotation's rounding away"),

@@ -317,3 +317,6 @@ fn validate(
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests;

@@ -6,7 +6,7 @@ use garad_optim::dense::{Problem, Recorder};
 use garad_optim::pose::PoseProblem;
 use garad_optim::{
     BundleConfig, BundleObservation, BundleReport, PoseConfig, PoseObservation, PoseSolution,
-    Report, RightObservation, StopReason, optimise_bundle, optimise_pose,
+    Report, RightObservation, RobustKernel, StopReason, optimise_bundle, optimise_pose,
 };
 use nalgebra::{Matrix3, Vector2, Vector3};
 
@@ -247,6 +247,27 @@ fn bundles_are_the_optima() {
         let optimum = case.output("cost").f64()[0];
         if stop != StopReason::Converged || cost > optimum * (1.0 + 1e-6) {
             problems.push(format!("{}: {stop:?} at {cost}, {optimum}", case.name()));
+        }
+    }
+    assert!(problems.is_empty(), "{}", problems.join("\n"));
+}
+
+#[test]
+fn kernels_are_those_of_the_table() {
+    let mut problems = Vec::new();
+    for case in Case::load_all("robust") {
+        let scale = case.param_f64("scale");
+        let kernel = match case.param_str("kernel") {
+            "huber" => RobustKernel::Huber { delta: scale },
+            "cauchy" => RobustKernel::Cauchy { c: scale },
+            "tukey" => RobustKernel::Tukey { c: scale },
+            other => panic!("{}: no kernel '{other}'", case.name()),
+        };
+        let s = case.input("s").f64();
+        let rho: Vec<f64> = s.iter().map(|&s| kernel.rho(s)).collect();
+        let weight: Vec<f64> = s.iter().map(|&s| kernel.weight(s)).collect();
+        for (name, got) in [("rho", rho), ("weight", weight)] {
+            problems.extend(case.check(name, &got).err());
         }
     }
     assert!(problems.is_empty(), "{}", problems.join("\n"));

@@ -1,0 +1,247 @@
+//! A bundle without noise, and what is done to it.
+
+use super::*;
+use crate::lm::{StopReason, System};
+use garad_core::{Rng, So3};
+use nalgebra::Vector6;
+
+const BF: f64 = 40.0;
+
+struct Scene {
+    camera: Camera,
+    truth: Bundle,
+    start: Bundle,
+    fixed: Vec<bool>,
+    observations: Vec<BundleObservation>,
+}
+
+/// Cameras on an arc that see all points, every second time with depth, without noise.
+fn scene(n_poses: usize, n_points: usize) -> Scene {
+    let mut rng = Rng::keyed(3, &[n_poses as u64, n_points as u64]);
+    let camera = Camera::pinhole((640, 480), [535.4, 539.2, 320.1, 247.6]).unwrap();
+    let truth = Bundle {
+        poses: (0..n_poses)
+            .map(|k| {
+                let turn = 0.06 * k as f64;
+                let rotation = So3::exp(&Vector3::new(0.02 * turn, turn, -0.3 * turn));
+                Se3::new(rotation, Vector3::new(-2.0 * turn, 0.1 * turn, 0.2 * turn))
+            })
+            .collect(),
+        points: (0..n_points)
+            .map(|_| {
+                let (x, y) = (rng.range(-1.0, 1.0), rng.range(-0.8, 0.8));
+                Vector3::new(x, y, rng.range(2.0, 5.0))
+            })
+            .collect(),
+    };
+    let mut observations = Vec::new();
+    for (pose, camera_from_world) in truth.poses.iter().enumerate() {
+        for (point, p_world) in truth.points.iter().enumerate() {
+            let p_cam = *camera_from_world * *p_world;
+            let uv_px = camera.project(&p_cam).unwrap();
+            let depth = RightObservation::from_depth(uv_px.x, 1.2, p_cam.z, 0.02, BF);
+            observations.push(BundleObservation {
+                pose,
+                point,
+                uv_px,
+                sigma_px: 1.2,
+                right: ((pose + point) % 2 == 0).then_some(depth),
+            });
+        }
+    }
+    let mut start = truth.clone();
+    for pose in &mut start.poses[1..] {
+        *pose = Se3::exp(&Vector6::from_fn(|_, _| 0.01 * rng.normal())) * *pose;
+    }
+    for point in &mut start.points {
+        *point += Vector3::from_fn(|_, _| 0.03 * rng.normal());
+    }
+    Scene {
+        camera,
+        truth,
+        start,
+        fixed: (0..n_poses).map(|k| k == 0).collect(),
+        observations,
+    }
+}
+
+fn adjust(scene: &mut Scene) -> BundleReport {
+    optimise_bundle(
+        &scene.camera,
+        BF,
+        &mut scene.start.poses,
+        &scene.fixed,
+        &mut scene.start.points,
+        &scene.observations,
+        &BundleConfig::default(),
+    )
+    .unwrap()
+}
+
+#[test]
+fn exact_observations_give_the_exact_bundle() {
+    let mut scene = scene(5, 30);
+    let first = scene.start.poses[0];
+    let report = adjust(&mut scene);
+    assert!(report.report.cost < 1e-9, "{report:?}");
+    assert!(report.inlier.iter().all(|&i| i), "all explained");
+    assert_eq!(
+        scene.start.poses[0], first,
+        "a fixed pose stays, bit by bit"
+    );
+    for (found, truth) in scene.start.poses.iter().zip(&scene.truth.poses) {
+        assert!((*found * truth.inverse()).log().norm() < 1e-5, "{found:?}");
+    }
+    for (found, truth) in scene.start.points.iter().zip(&scene.truth.points) {
+        assert!((found - truth).norm() < 1e-4, "{found}");
+    }
+}
+
+/// The assembled gradient is the derivative of the cost through the step, for every unknown.
+#[test]
+fn gradient_is_the_derivative_of_the_cost() {
+    let scene = scene(3, 6);
+    let config = BundleConfig::default();
+    let model = BundleModel::new(
+        Intrinsics::new(&scene.camera, BF),
+        &scene.start,
+        &scene.fixed,
+        &scene.observations,
+        &config,
+    );
+    let system = (&model).linearise(&scene.start);
+    assert!(
+        (system.cost - (&model).cost(&scene.start)).abs() < 1e-9 * system.cost,
+        "both ways to the cost agree"
+    );
+    let h = 1e-6;
+    let slope = |change: &dyn Fn(&mut BundleStep, f64)| {
+        let cost = |h: f64| {
+            let mut step = BundleStep {
+                poses: vec![Vector6::zeros(); 2],
+                points: vec![Vector3::zeros(); 6],
+            };
+            change(&mut step, h);
+            (&model).cost(&(&model).step(&scene.start, &step))
+        };
+        (cost(h) - cost(-h)) / (2.0 * h)
+    };
+    let scale = system.gradient_norm();
+    for i in 0..6 {
+        for p in 0..2 {
+            let error = slope(&|s, h| s.poses[p][i] = h) - system.pose_gradient[p][i];
+            assert!(error.abs() < 1e-7 * scale, "pose {p}, {i}: {error}");
+        }
+        for c in 0..3 {
+            let error = slope(&|s, h| s.points[i][c] = h) - system.point_gradient[i][c];
+            assert!(error.abs() < 1e-7 * scale, "point {i}, {c}: {error}");
+        }
+    }
+}
+
+#[test]
+fn wrong_matches_are_named_and_bent_around() {
+    let mut scene = scene(5, 30);
+    for i in [7, 40, 99] {
+        scene.observations[i].uv_px.y += 30.0;
+    }
+    let report = adjust(&mut scene);
+    let wrong: Vec<usize> = (0..150).filter(|&i| !report.inlier[i]).collect();
+    assert_eq!(wrong, [7, 40, 99], "those and no others");
+    let error = scene.start.poses[3] * scene.truth.poses[3].inverse();
+    assert!(error.log().norm() < 5e-3, "Huber: {error:?}");
+}
+
+#[test]
+fn the_unseen_stays_and_what_is_behind_takes_no_part() {
+    let mut scene = scene(4, 20);
+    scene.start.points.push(Vector3::new(1.0, 2.0, 3.0));
+    let behind = Vector3::new(0.0, 0.0, -4.0);
+    scene.start.points.push(behind);
+    scene.observations.push(BundleObservation {
+        point: 21,
+        ..scene.observations[0]
+    });
+    let report = adjust(&mut scene);
+    assert_eq!(
+        scene.start.points[20],
+        Vector3::new(1.0, 2.0, 3.0),
+        "unseen"
+    );
+    assert_eq!(scene.start.points[21], behind, "behind the camera");
+    assert!(
+        !report.inlier[80] && report.report.cost < 1e-9,
+        "{report:?}"
+    );
+}
+
+#[test]
+fn with_all_poses_fixed_the_points_still_move() {
+    let mut scene = scene(3, 10);
+    scene.start.poses = scene.truth.poses.clone();
+    scene.fixed = vec![true; 3];
+    let report = adjust(&mut scene);
+    assert!(report.report.cost < 1e-9, "{report:?}");
+    let nothing = optimise_bundle(
+        &scene.camera,
+        BF,
+        &mut [],
+        &[],
+        &mut [],
+        &[],
+        &BundleConfig::default(),
+    );
+    let stop = nothing.map(|r| r.report.stop);
+    assert_eq!(stop, Ok(StopReason::ZeroGradient), "an empty bundle");
+}
+
+type Change = fn(&mut Scene);
+
+#[test]
+fn bad_input_is_named_and_nothing_moves() {
+    let error_of = |change: Change| {
+        let mut scene = scene(3, 5);
+        change(&mut scene);
+        let before = scene.start.clone();
+        let error = optimise_bundle(
+            &scene.camera,
+            BF,
+            &mut scene.start.poses,
+            &scene.fixed,
+            &mut scene.start.points,
+            &scene.observations,
+            &BundleConfig::default(),
+        )
+        .unwrap_err();
+        assert_eq!(
+            format!("{before:?}"),
+            format!("{:?}", scene.start),
+            "untouched"
+        );
+        error.to_string()
+    };
+    let cases: [(Change, &str); 6] = [
+        (
+            |s| s.observations[2].pose = 3,
+            "observation 2 refers to pose 3; there are 3",
+        ),
+        (
+            |s| s.observations[2].point = 9,
+            "refers to point 9; there are 5",
+        ),
+        (|s| s.start.points[1].y = f64::NAN, "point 1 is not finite"),
+        (
+            |s| s.start.poses[2].translation.x = f64::INFINITY,
+            "pose 2 is not finite",
+        ),
+        (
+            |s| s.observations[4].sigma_px = -1.0,
+            "sigma_px of observation 4 is -1",
+        ),
+        (|s| s.fixed = vec![], "fixed: 0 entries; expected 3"),
+    ];
+    for (change, expected) in cases {
+        let error = error_of(change);
+        assert!(error.contains(expected), "{error}");
+    }
+}
