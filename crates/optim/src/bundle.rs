@@ -70,7 +70,7 @@ pub struct BundleReport {
 /// [`crate::reprojection`] (E12), by Levenberg-Marquardt with the points eliminated (E13).
 ///
 /// # Shapes and units
-/// `poses` and `fixed` [K], `camera_from_world`, m · `points` [N, 3] m · `bf` fx times baseline, px·m
+/// `poses` and `fixed` \[K\], `camera_from_world`, m · `points` \[N, 3\] m · `bf` fx times baseline, px·m
 /// # Numerics
 /// f64, sums in the order of points, then of their observations as given: the same bits on every
 /// machine. The reduced system is dense: time grows as K³ in the free poses.

@@ -1,4 +1,4 @@
-//! [`Reprojection`]: one point seen by one camera, with the closed-form derivatives of eq. 11.
+//! The residual of one point seen by one camera, with the closed-form derivatives of eq. 11.
 //!
 //! r = (û - u, v̂ - v) / σ, and with a depth reading also (û_R - u_R) / σ_R, where
 //!
@@ -35,7 +35,7 @@ impl RightObservation {
     }
 }
 
-/// Intrinsics and what was measured; shared by pose-only optimisation and bundle adjustment.
+/// What was measured of one point; shared by pose-only optimisation and bundle adjustment.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Reprojection {
     pub(crate) uv_px: Vector2<f64>,
