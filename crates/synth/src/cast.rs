@@ -68,14 +68,14 @@ pub(crate) fn actors(name: SceneName, seed: u64) -> Vec<Actor> {
                 heading_rad: turn,
                 seed: 71,
             });
-            let course = Course::ellipse([-0.35, -0.45], [0.55, 0.0], turn, 1.1, 0.2);
+            let course = Course::ellipse([0.28, 0.58], [0.25, 0.0], turn, 1.6, 0.2);
             cast.roles.push(Role::Ball {
                 course: course.with_schedule(schedule(2.4, 1.8, 2.0)),
                 heading_rad: turn,
                 radius: 0.12,
                 seed: 72,
             });
-            let course = Course::ellipse([1.10, 0.20], [0.62, 0.20], ACROSS_RAD, 1.2, 4.4);
+            let course = Course::ellipse([1.20, 0.20], [0.62, 0.20], ACROSS_RAD, 1.2, 4.4);
             cast.person(
                 1,
                 Arms::Swing,
