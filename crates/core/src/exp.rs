@@ -32,14 +32,16 @@ pub fn exp_nonpositive(x: f32) -> f32 {
     let reduced = if x > SMALLEST { x } else { SMALLEST };
     let shifted = reduced * std::f32::consts::LOG2_E + ROUND;
     let n = shifted - ROUND;
-    let r = (reduced - n * LN2_HIGH) - n * LN2_LOW;
+    // r = high - low; high is exact and enters the sum unrounded.
+    let (high, low) = (reduced - n * LN2_HIGH, n * LN2_LOW);
+    let r = high - low;
     let tail = 1.0 / 5040.0;
     let tail = 1.0 / 720.0 + r * tail;
     let tail = 1.0 / 120.0 + r * tail;
     let tail = 1.0 / 24.0 + r * tail;
     let tail = 1.0 / 6.0 + r * tail;
     let tail = 0.5 + r * tail;
-    let exp_r = 1.0 + (r + r * r * tail);
+    let exp_r = 1.0 + (high - (low - r * r * tail));
     // The lowest bits of `shifted` are n: moved up, they add to the exponent.
     let scaled = f32::from_bits(exp_r.to_bits().wrapping_add(shifted.to_bits() << 23));
     if x >= SMALLEST { scaled } else { 0.0 }
