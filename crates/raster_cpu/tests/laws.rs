@@ -375,6 +375,19 @@ fn extreme_sizes_are_drawn_or_left_out() {
         picture.validate().expect("consistent");
         assert_eq!(picture.radii[0] > 0, visible, "sigma {sigma}");
     }
+    // Σ'xx = 1e26 px² fits into f32, the determinant does not.
+    let mut map = GaussianMap::new(0);
+    map.push(&ball([0.0, 0.0, 2.0], 1e12, 0.9, [1.0, 1.0, 1.0]));
+    let options = RenderOptions::default();
+    let narrow = render(
+        &map.cast::<f32>(),
+        &small(),
+        &Se3::default(),
+        &options,
+        Par::Seq,
+    );
+    assert_eq!(narrow.expect("a picture").radii, [0], "left out in f32");
+    assert!(draw_small(&map).radii[0] > 0, "drawn in f64");
     let mut map = GaussianMap::new(0);
     map.push(&ball([1e300, -1e300, 1e300], 1.0, 0.9, [1.0, 1.0, 1.0]));
     map.push(&ball([1e300, 0.0, 0.3], 1e150, 0.9, [1.0, 1.0, 1.0]));
@@ -431,6 +444,16 @@ fn input_that_cannot_be_drawn_is_an_error() {
         "{error}"
     );
 
+    let high = Camera {
+        height: 16_385,
+        ..cam
+    };
+    let error = attempt(&good, &high, &at, &plain);
+    assert!(
+        matches!(error, RasterError::PictureSize { height: 16_385, .. }),
+        "{error}"
+    );
+
     let lost = Se3::new(So3::identity(), Vector3::new(f64::NAN, 0.0, 0.0));
     let error = attempt(&good, &cam, &lost, &plain);
     assert_eq!(error, RasterError::PoseNotFinite, "pose");
@@ -470,4 +493,31 @@ fn input_that_cannot_be_drawn_is_an_error() {
         got: 11,
     };
     assert_eq!(error, expected, "{error}");
+}
+
+#[test]
+fn validate_names_the_first_bad_pixel() {
+    type Damage = fn(&mut Rendered<f64>);
+    let damages: [(&str, Damage); 6] = [
+        ("NaN colour", |r| r.color[(3, 2)][1] = f64::NAN),
+        ("infinite depth", |r| r.depth[(3, 2)] = f64::INFINITY),
+        ("too dark", |r| r.transmittance[(3, 2)] = 0.99e-4),
+        ("too bright", |r| r.transmittance[(3, 2)] = 1.01),
+        ("nothing drawn, light lost", |r| {
+            r.contributors[(3, 2)] = 0;
+            r.last[(3, 2)] = 0;
+        }),
+        ("more splats than positions", |r| r.last[(3, 2)] = 1),
+    ];
+    let mut map = GaussianMap::new(0);
+    map.push(&ball([0.0, 0.0, 2.0], 1.0, 0.5, [1.0, 1.0, 1.0]));
+    map.push(&ball([0.0, 0.0, 3.0], 1.0, 0.5, [1.0, 1.0, 1.0]));
+    let good = draw_small(&map);
+    assert_eq!(good.validate(), Ok(()), "as drawn");
+    for (name, damage) in damages {
+        let mut bad = good.clone();
+        damage(&mut bad);
+        let sentence = bad.validate().expect_err(name);
+        assert!(sentence.contains("pixel (3, 2)"), "{name}: {sentence}");
+    }
 }
