@@ -14,14 +14,14 @@ pub enum SceneName {
     /// Two people cross the room 2 to 3 m away, one of them carries a box.
     #[default]
     Walking,
-    /// Four people 1 to 2 m away cover up to 70 % of the picture; the walls are plain.
+    /// Four people 1 to 2 m away cover a third to 60 % of the picture; the walls are plain.
     Crowd,
     /// A trolley, a ball and a person stand still, start, stop and start again.
     StopAndGo,
     /// Two people walk beside the camera at its own speed: in the picture they stand still
     /// and the room moves.
     InStep,
-    /// Nothing moves; the camera goes round the room, 10 m a lap.
+    /// Nothing moves; the camera goes round the room, 9.7 m and 25 s a lap.
     Loop,
 }
 
