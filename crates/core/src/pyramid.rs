@@ -294,8 +294,9 @@ pub fn resize_linear_into(image: &GrayImage, (width, height): (usize, usize), ou
 #[allow(clippy::cast_possible_truncation, reason = "at most 32640")]
 fn resize_row(source: &[u8], columns: &[LinearTap], out: &mut [i16]) {
     for (out, tap) in out.iter_mut().zip(columns) {
-        let sum = i32::from(source[tap.low]) * i32::from(tap.weight_low)
-            + i32::from(source[tap.high]) * i32::from(tap.weight_high);
+        let pair = &source[tap.low..=tap.high]; // two neighbours, or one pixel at the edge
+        let sum = i32::from(pair[0]) * i32::from(tap.weight_low)
+            + i32::from(pair[pair.len() - 1]) * i32::from(tap.weight_high);
         *out = (sum >> 4) as i16;
     }
 }

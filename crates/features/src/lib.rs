@@ -3,12 +3,13 @@
 //! Pictures in, points and correspondences out; nothing here knows of maps or Gaussians.
 //! Reading order: [`fast9`] (corners) → [`orb`] (spread over the picture, turned, described) →
 //! [`descriptor`], [`matching`] (which point is which) →
-//! [`lk`] (where a point went).
+//! [`lk`] (where a point went) → [`epipolar`] (what two views allow).
 //!
 //! Everything up to sub-pixel tracking is integer arithmetic with the definitions of OpenCV and
 //! ORB-SLAM3, so that a port can be compared bit by bit.
 
 pub mod descriptor;
+pub mod epipolar;
 pub mod error;
 pub mod fast9;
 pub mod lk;

@@ -1,12 +1,16 @@
 //! The committed cases of this crate's stages: truth from OpenCV, numpy and mpmath.
 
-use garad_core::{GrayImage, Par};
+use garad_core::{Camera, GrayImage, Par, Se3, So3};
+use garad_features::epipolar::{
+    RansacConfig, eight_point, fundamental, fundamental_ransac, point_to_line_px, sampson_px2,
+};
 use garad_features::fast9::{self, Window};
 use garad_features::lk::{self, pyramid::scharr};
 use garad_features::matching::nearest;
 use garad_features::orb::{blur, orientation};
 use garad_features::{Descriptor, LkConfig, LkPyramid, MatchConfig, OrbConfig, OrbExtractor};
 use garad_golden::{Case, Tensor};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 fn gray(tensor: &Tensor) -> GrayImage {
     let &[height, width] = tensor.shape() else {
@@ -196,3 +200,66 @@ type Track = fn(
     &LkConfig,
     Par,
 ) -> Result<Vec<garad_features::LkTrack>, garad_features::FeatureError>;
+
+fn pixels(tensor: &Tensor) -> Vec<Vector2<f64>> {
+    let values = tensor.f64();
+    let pairs = values.as_chunks::<2>().0.iter();
+    pairs.map(|&[x, y]| Vector2::new(x, y)).collect()
+}
+
+#[test]
+fn epipolar() {
+    for case in Case::load_all("epipolar") {
+        let (uv1, uv2) = (pixels(case.input("uv1")), pixels(case.input("uv2")));
+        let intrinsics = case.input("intrinsics").f64();
+        let camera = Camera::pinhole((640, 480), intrinsics.try_into().expect("four numbers"))
+            .expect("valid");
+        let rotation = Matrix3::from_row_slice(&case.input("rotation").f64());
+        let translation = Vector3::from_row_slice(&case.input("translation").f64());
+        let motion = Se3::new(So3::from_matrix(&rotation), translation);
+        // F has no scale: bring it to the scale and sign of the expected one.
+        let f = fundamental(&camera, &camera, &motion);
+        let expected = Matrix3::from_row_slice(&case.output("fundamental").f64());
+        let scaled = f * (expected.norm() / f.norm() * expected.dot(&f).signum());
+        check(&case, "fundamental", scaled.transpose().iter().copied());
+
+        let distances: Vec<_> = uv1
+            .iter()
+            .zip(&uv2)
+            .map(|(a, b)| point_to_line_px(&f, a, b))
+            .collect();
+        check(&case, "distance_in_1", distances.iter().map(|d| d[0]));
+        check(&case, "distance_in_2", distances.iter().map(|d| d[1]));
+        check(
+            &case,
+            "sampson",
+            uv1.iter().zip(&uv2).map(|(a, b)| sampson_px2(&f, a, b)),
+        );
+
+        let exact = pixels(case.input("exact_uv2"));
+        let linear = eight_point(&uv1, &exact).expect("general position");
+        let worst = uv1
+            .iter()
+            .zip(&exact)
+            .map(|(a, b)| sampson_px2(&linear, a, b).sqrt());
+        let worst = worst.fold(0.0, f64::max);
+        assert!(
+            worst <= 1e-6,
+            "{}: exact pairs within {worst} px",
+            case.name()
+        );
+
+        let is_wrong = case.input("is_wrong").i64();
+        let config = RansacConfig::default();
+        let found = fundamental_ransac(&uv1, &uv2, &config, Par::Threads(2)).expect("solvable");
+        let (mut kept, mut right, mut kept_right) = (0.0, 0.0, 0.0);
+        for (&inlier, &wrong) in found.inliers.iter().zip(&is_wrong) {
+            kept += f64::from(inlier);
+            right += f64::from(wrong == 0);
+            kept_right += f64::from(inlier && wrong == 0);
+        }
+        let (recall, precision) = (kept_right / right, kept_right / kept);
+        let verdict = format!("{}: recall {recall}, precision {precision}", case.name());
+        assert!(recall >= 0.97 && precision >= 0.97, "{verdict}");
+    }
+}

@@ -1,0 +1,317 @@
+//! F from pairs of which many are wrong.
+
+use garad_core::{Par, Rng};
+use nalgebra::{Matrix3, Vector2};
+
+use super::eight_point::{MIN_PAIRS, check_pairs, eight_point_of};
+use super::sampson_px2;
+use crate::error::FeatureError;
+
+/// Settings of [`fundamental_ransac`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RansacConfig {
+    /// Largest Sampson distance of an inlier, pixels.
+    pub threshold_px: f64,
+    /// Wanted probability of having drawn a sample without a wrong pair.
+    pub confidence: f64,
+    /// Most samples drawn.
+    pub max_samples: usize,
+    /// Seed of the draws.
+    pub seed: u64,
+}
+
+impl Default for RansacConfig {
+    fn default() -> Self {
+        Self {
+            threshold_px: 1.0,
+            confidence: 0.999,
+            max_samples: 2000,
+            seed: 0,
+        }
+    }
+}
+
+/// What [`fundamental_ransac`] found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FundamentalEstimate {
+    /// ‖F‖ = 1, entry of largest magnitude positive.
+    pub fundamental: Matrix3<f64>,
+    /// Which pairs agree with it.
+    pub inliers: Vec<bool>,
+    /// Samples drawn.
+    pub samples: usize,
+}
+
+/// Samples drawn between two looks at whether they are enough.
+const BATCH: usize = 64;
+/// Most rounds of refitting to all inliers.
+const REFITS: usize = 10;
+
+/// A hypothesis and its cost, Σ min(d², threshold²); lower is better.
+#[derive(Debug, Clone)]
+struct Hypothesis {
+    fundamental: Matrix3<f64>,
+    cost: f64,
+    inliers: Vec<usize>,
+}
+
+/// Random sample consensus with the eight-point algorithm, truncated squared Sampson distance as
+/// cost (MSAC, Torr & Zisserman 2000), and refits of the winner to its inliers while they help.
+///
+/// Sample i comes from its own stream of the seed and ties go to the lowest i, so the answer has
+/// the same bits for every `par`. Drawing stops when a sample without a wrong pair has been seen
+/// with probability `confidence`: 1 - (1 - wⁿ)ᵏ with w the share of inliers, n = 8.
+///
+/// # Errors
+/// As [`super::eight_point`]; [`FeatureError::Degenerate`] also if no sample gave an F;
+/// [`FeatureError::BadSetting`] for a threshold that is not positive, a confidence outside (0, 1)
+/// or no samples.
+pub fn fundamental_ransac(
+    uv1: &[Vector2<f64>],
+    uv2: &[Vector2<f64>],
+    config: &RansacConfig,
+    par: Par,
+) -> Result<FundamentalEstimate, FeatureError> {
+    check_pairs(uv1, uv2)?;
+    config.validate()?;
+    let judge = |fundamental| Hypothesis::new(fundamental, uv1, uv2, config.threshold_px);
+    let mut best: Option<Hypothesis> = None;
+    let (mut drawn, mut enough) = (0, config.max_samples);
+    while drawn < enough {
+        let count = BATCH.min(config.max_samples - drawn);
+        let batch = par.map(count, |i| {
+            let sample = draw(config.seed, drawn + i, uv1.len());
+            eight_point_of(uv1, uv2, &sample).ok().map(judge)
+        });
+        drawn += count;
+        for hypothesis in batch.into_iter().flatten() {
+            if best.as_ref().is_none_or(|b| hypothesis.cost < b.cost) {
+                best = Some(hypothesis);
+            }
+        }
+        if let Some(best) = &best {
+            let share = best.inliers.len() as f64 / uv1.len() as f64;
+            enough = samples_needed(share, config).min(config.max_samples);
+        }
+    }
+    let mut best = best.ok_or(FeatureError::Degenerate {
+        reason: "no sample of eight pairs determines F",
+    })?;
+    for _ in 0..REFITS {
+        if best.inliers.len() < MIN_PAIRS {
+            break;
+        }
+        match eight_point_of(uv1, uv2, &best.inliers).map(judge) {
+            Ok(refit) if refit.cost < best.cost => best = refit,
+            _ => break,
+        }
+    }
+    let mut inliers = vec![false; uv1.len()];
+    for &i in &best.inliers {
+        inliers[i] = true;
+    }
+    Ok(FundamentalEstimate {
+        fundamental: best.fundamental,
+        inliers,
+        samples: drawn,
+    })
+}
+
+impl RansacConfig {
+    fn validate(&self) -> Result<(), FeatureError> {
+        let bad = |setting, value, expected| {
+            Err(FeatureError::BadSetting {
+                setting,
+                value,
+                expected,
+            })
+        };
+        if !(self.threshold_px > 0.0 && self.threshold_px.is_finite()) {
+            return bad("threshold_px", self.threshold_px, "a positive number");
+        }
+        if !(self.confidence > 0.0 && self.confidence < 1.0) {
+            return bad("confidence", self.confidence, "between 0 and 1");
+        }
+        if self.max_samples == 0 {
+            return bad("max_samples", 0.0, "at least 1");
+        }
+        Ok(())
+    }
+}
+
+impl Hypothesis {
+    fn new(
+        fundamental: Matrix3<f64>,
+        uv1: &[Vector2<f64>],
+        uv2: &[Vector2<f64>],
+        threshold_px: f64,
+    ) -> Self {
+        let limit = threshold_px * threshold_px;
+        let (mut cost, mut inliers) = (0.0, Vec::new());
+        for (i, (a, b)) in uv1.iter().zip(uv2).enumerate() {
+            let d2 = sampson_px2(&fundamental, a, b);
+            // NaN is an outlier.
+            if d2 <= limit {
+                cost += d2;
+                inliers.push(i);
+            } else {
+                cost += limit;
+            }
+        }
+        Self {
+            fundamental,
+            cost,
+            inliers,
+        }
+    }
+}
+
+/// Eight different indices below `n`, from the stream of this sample.
+fn draw(seed: u64, sample: usize, n: usize) -> [usize; MIN_PAIRS] {
+    let mut rng = Rng::keyed(seed, &[sample as u64]);
+    let mut chosen = [0; MIN_PAIRS];
+    let mut count = 0;
+    while count < MIN_PAIRS {
+        let candidate = rng.below(n);
+        if !chosen[..count].contains(&candidate) {
+            chosen[count] = candidate;
+            count += 1;
+        }
+    }
+    chosen
+}
+
+/// k with 1 - (1 - wⁿ)ᵏ ≥ confidence.
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "saturates: a count of samples, capped by the caller"
+)]
+fn samples_needed(share: f64, config: &RansacConfig) -> usize {
+    let w2 = share * share;
+    let good_sample = w2 * w2 * w2 * w2;
+    let needed = libm::log(1.0 - config.confidence) / libm::log1p(-good_sample);
+    needed.ceil() as usize
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{motion, two_views};
+    use super::*;
+
+    /// Exact pairs, the first `wrong` of them replaced by random ones, all with pixel noise.
+    fn pairs(n: usize, wrong: usize, noise_px: f64, seed: u64) -> [Vec<Vector2<f64>>; 2] {
+        let [uv1, mut uv2] = two_views(n, &motion(), seed);
+        let mut rng = Rng::new(seed ^ 77);
+        for (i, uv) in uv2.iter_mut().enumerate() {
+            if i < wrong {
+                *uv = Vector2::new(rng.range(0.0, 640.0), rng.range(0.0, 480.0));
+            } else {
+                *uv += Vector2::new(rng.normal(), rng.normal()) * noise_px;
+            }
+        }
+        [uv1, uv2]
+    }
+
+    #[test]
+    fn right_pairs_are_told_from_wrong_ones() {
+        for seed in 0..5 {
+            let (n, wrong) = (200, 60);
+            let [uv1, uv2] = pairs(n, wrong, 0.3, seed);
+            let config = RansacConfig {
+                seed,
+                ..RansacConfig::default()
+            };
+            let found = fundamental_ransac(&uv1, &uv2, &config, Par::Seq).expect("solvable");
+            let kept = found.inliers.iter().filter(|&&i| i).count();
+            let right = found.inliers[wrong..].iter().filter(|&&i| i).count();
+            let recall = right as f64 / (n - wrong) as f64;
+            // A random pair lies within 1 px of its line once in some hundred times.
+            let precision = right as f64 / kept as f64;
+            assert!(
+                recall >= 0.97 && precision >= 0.97,
+                "{recall} {precision}, seed {seed}"
+            );
+            for threads in [2, 3] {
+                let again = fundamental_ransac(&uv1, &uv2, &config, Par::new(threads));
+                assert_eq!(again.as_ref(), Ok(&found), "{threads} threads");
+            }
+        }
+    }
+
+    #[test]
+    fn clean_pairs_need_one_batch() {
+        let [uv1, uv2] = pairs(50, 0, 0.0, 3);
+        let found = fundamental_ransac(&uv1, &uv2, &RansacConfig::default(), Par::Seq);
+        let found = found.expect("solvable");
+        assert_eq!(
+            (found.samples, found.inliers),
+            (BATCH, vec![true; 50]),
+            "all agree"
+        );
+    }
+
+    #[test]
+    fn number_of_samples_follows_the_share() {
+        let config = RansacConfig {
+            confidence: 0.99,
+            ..RansacConfig::default()
+        };
+        // ln 0.01 / ln(1 - 0.5^8) = 1176.6
+        assert_eq!(
+            samples_needed(0.5, &config),
+            1177,
+            "half of the pairs wrong"
+        );
+        assert_eq!(samples_needed(1.0, &config), 0, "none wrong");
+        assert_eq!(samples_needed(0.0, &config), usize::MAX, "all wrong");
+    }
+
+    #[test]
+    fn bad_settings_and_hopeless_points_are_refused() {
+        let [uv1, uv2] = pairs(20, 0, 0.0, 3);
+        let good = RansacConfig::default();
+        for (bad, name) in [
+            (
+                RansacConfig {
+                    threshold_px: 0.0,
+                    ..good
+                },
+                "threshold_px",
+            ),
+            (
+                RansacConfig {
+                    threshold_px: f64::NAN,
+                    ..good
+                },
+                "threshold_px",
+            ),
+            (
+                RansacConfig {
+                    confidence: 1.0,
+                    ..good
+                },
+                "confidence",
+            ),
+            (
+                RansacConfig {
+                    max_samples: 0,
+                    ..good
+                },
+                "max_samples",
+            ),
+        ] {
+            match fundamental_ransac(&uv1, &uv2, &bad, Par::Seq) {
+                Err(FeatureError::BadSetting { setting, .. }) => assert_eq!(setting, name),
+                other => panic!("{name}: {other:?}"),
+            }
+        }
+        let still = fundamental_ransac(&uv1, &uv1, &good, Par::Seq);
+        assert!(
+            matches!(still, Err(FeatureError::Degenerate { .. })),
+            "no parallax: {still:?}"
+        );
+        let few = fundamental_ransac(&uv1[..5], &uv2[..5], &good, Par::Seq);
+        assert_eq!(few, Err(FeatureError::TooFewPoints { got: 5, needed: 8 }));
+    }
+}
