@@ -215,7 +215,7 @@ struct LinearTap {
     clippy::cast_possible_truncation,
     reason = "coordinates stay inside the picture, weights inside 0..=2048"
 )]
-fn linear_taps(from: usize, to: usize, clamp_weights: bool) -> Vec<LinearTap> {
+fn linear_taps(from: usize, to: usize) -> Vec<LinearTap> {
     let scale = 1.0 / (to as f64 / from as f64);
     let last = from.cast_signed() - 1;
     let inside = |i: isize| i.clamp(0, last).unsigned_abs();
@@ -223,13 +223,8 @@ fn linear_taps(from: usize, to: usize, clamp_weights: bool) -> Vec<LinearTap> {
         .map(|i| {
             let position = ((i as f64 + 0.5) * scale - 0.5) as f32;
             let floor = position.floor();
-            let mut fraction = position - floor;
+            let fraction = position - floor;
             let low = floor as isize;
-            // Beyond the outer centres OpenCV drops the fraction along x and keeps it along y,
-            // where both neighbours are the same row.
-            if clamp_weights && (low < 0 || low >= last) {
-                fraction = 0.0;
-            }
             LinearTap {
                 low: inside(low),
                 high: inside(low + 1),
@@ -261,8 +256,8 @@ pub fn resize_linear_into(image: &GrayImage, (width, height): (usize, usize), ou
     if image.data().is_empty() {
         return;
     }
-    let columns = linear_taps(image.width(), width, true);
-    let rows = linear_taps(image.height(), height, false);
+    let columns = pair_taps(image.width(), width);
+    let rows = linear_taps(image.height(), height);
     // Two resized source rows are alive at a time; an output row often shares one with the next.
     let mut cache = [
         (usize::MAX, vec![0i16; width]),
@@ -290,13 +285,50 @@ pub fn resize_linear_into(image: &GrayImage, (width, height): (usize, usize), ou
     }
 }
 
+/// A tap along a row: a pixel, its right neighbour, and their weights.
+#[derive(Debug, Clone, Copy)]
+struct PairTap {
+    low: usize,
+    weights: [i16; 2],
+}
+
+/// [`linear_taps`] for rows. Beyond the outer centres OpenCV drops the fraction along x, where it
+/// keeps it along y; the pixel at the right edge is spelled as the second of a pair.
+fn pair_taps(from: usize, to: usize) -> Vec<PairTap> {
+    let taps = linear_taps(from, to).into_iter();
+    taps.map(|tap| match tap {
+        LinearTap { low, high, .. } if low == high && low > 0 => PairTap {
+            low: low - 1,
+            weights: [0, 2048],
+        },
+        LinearTap { low, high, .. } if low == high => PairTap {
+            low,
+            weights: [2048, 0],
+        },
+        LinearTap {
+            low,
+            weight_low,
+            weight_high,
+            ..
+        } => PairTap {
+            low,
+            weights: [weight_low, weight_high],
+        },
+    })
+    .collect()
+}
+
 /// (in(x₀) a₀ + in(x₁) a₁) >> 4, at most 255 * 2048 / 16 = 32640.
 #[allow(clippy::cast_possible_truncation, reason = "at most 32640")]
-fn resize_row(source: &[u8], columns: &[LinearTap], out: &mut [i16]) {
+fn resize_row(source: &[u8], columns: &[PairTap], out: &mut [i16]) {
+    if let &[only] = source {
+        out.fill(i16::from(only) * 128); // 2048 / 16
+        return;
+    }
     for (out, tap) in out.iter_mut().zip(columns) {
-        let pair = &source[tap.low..=tap.high]; // two neighbours, or one pixel at the edge
-        let sum = i32::from(pair[0]) * i32::from(tap.weight_low)
-            + i32::from(pair[pair.len() - 1]) * i32::from(tap.weight_high);
+        let pair = &source[tap.low..tap.low + 2];
+        let sum = i32::from(pair[0]) * i32::from(tap.weights[0])
+            + i32::from(pair[1]) * i32::from(tap.weights[1]);
         *out = (sum >> 4) as i16;
     }
 }

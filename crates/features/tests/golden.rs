@@ -5,7 +5,7 @@ use garad_features::epipolar::{
     RansacConfig, eight_point, fundamental, fundamental_ransac, point_to_line_px, sampson_px2,
 };
 use garad_features::fast9::{self, Window};
-use garad_features::lk::{self, pyramid::scharr};
+use garad_features::lk::{self, reference::scharr};
 use garad_features::matching::nearest;
 use garad_features::orb::{blur, orientation};
 use garad_features::{Descriptor, LkConfig, LkPyramid, MatchConfig, OrbConfig, OrbExtractor};

@@ -15,7 +15,7 @@
 
 mod fast;
 pub mod pyramid;
-mod reference;
+pub mod reference;
 
 use garad_core::Par;
 
@@ -168,8 +168,9 @@ fn track_with<W: Windows>(
         return mismatch("numbers of points", (points.len(), 0), (starts.len(), 0));
     }
     let chunks = par.map_chunks(points.len(), CHUNK, |range| {
+        let mut template = W::Template::default(); // memory for one window
         range
-            .map(|i| track_point::<W>(prev, next, points[i], starts[i], config))
+            .map(|i| track_point::<W>(prev, next, points[i], starts[i], config, &mut template))
             .collect::<Vec<_>>()
     });
     Ok(chunks.concat())
@@ -178,9 +179,9 @@ fn track_with<W: Windows>(
 /// The sums over a window that the loop needs; integers, so every implementation agrees.
 trait Windows {
     /// Samples of the first picture's window.
-    type Template;
-    /// The window of `level` at `place` and Σ (dx², dx dy, dy²).
-    fn template(level: &LkLevel, place: &Place) -> (Self::Template, [i64; 3]);
+    type Template: Default;
+    /// Takes the window of `level` at `place`; Σ (dx², dx dy, dy²).
+    fn template(level: &LkLevel, place: &Place, template: &mut Self::Template) -> [i64; 3];
     /// Σ (J - I) (dx, dy).
     fn mismatch(template: &Self::Template, level: &LkLevel, place: &Place) -> [i64; 2];
     /// Σ |J - I|.
@@ -229,6 +230,7 @@ fn track_point<W: Windows>(
     point: [f32; 2],
     start: [f32; 2],
     config: &LkConfig,
+    template: &mut W::Template,
 ) -> LkTrack {
     let top = prev.levels() - 1;
     let at_level = |p: [f32; 2], level: usize| p.map(|v| v * (1.0 / (1u32 << level) as f32));
@@ -236,13 +238,20 @@ fn track_point<W: Windows>(
     for level in (1..=top).rev() {
         let (from, to) = (prev.level(level), next.level(level));
         // A level that cannot help leaves the estimate to the next finer one.
-        let step = LevelStep::<W>::prepare(from, at_level(point, level), config);
+        let step = LevelStep::<W>::prepare(from, at_level(point, level), config, template);
         if let Ok(step) = step {
             estimate = step.solve(to, estimate, config).0;
         }
         estimate = estimate.map(|v| v * 2.0);
     }
-    finish::<W>(prev.level(0), next.level(0), point, estimate, config)
+    finish::<W>(
+        prev.level(0),
+        next.level(0),
+        point,
+        estimate,
+        config,
+        template,
+    )
 }
 
 /// The full picture: here failures count.
@@ -252,6 +261,7 @@ fn finish<W: Windows>(
     point: [f32; 2],
     estimate: [f32; 2],
     config: &LkConfig,
+    template: &mut W::Template,
 ) -> LkTrack {
     let lost = |xy, status, min_eigenvalue| LkTrack {
         xy,
@@ -259,7 +269,7 @@ fn finish<W: Windows>(
         residual: 0.0,
         min_eigenvalue,
     };
-    let step = match LevelStep::<W>::prepare(from, point, config) {
+    let step = match LevelStep::<W>::prepare(from, point, config, template) {
         Ok(step) => step,
         Err((status, min_eigenvalue)) => return lost(estimate, status, min_eigenvalue),
     };
@@ -268,7 +278,7 @@ fn finish<W: Windows>(
     let Some(place) = place else {
         return lost(xy, LkStatus::OutOfPicture, step.min_eigenvalue);
     };
-    let sum = W::absolute_difference(&step.template, to, &place);
+    let sum = W::absolute_difference(step.template, to, &place);
     let residual = sum as f32 / (32 * WINDOW * WINDOW) as f32;
     let acceptable = config.max_residual.is_none_or(|max| residual <= max);
     LkTrack {
@@ -293,8 +303,8 @@ fn corner_of(centre: [f32; 2]) -> [f32; 2] {
 const SUM_SCALE: f32 = 1.0 / (1 << 20) as f32;
 
 /// The normal equations of one level.
-struct LevelStep<W: Windows> {
-    template: W::Template,
+struct LevelStep<'a, W: Windows> {
+    template: &'a W::Template,
     g11: f32,
     g12: f32,
     g22: f32,
@@ -302,15 +312,16 @@ struct LevelStep<W: Windows> {
     min_eigenvalue: f32,
 }
 
-impl<W: Windows> LevelStep<W> {
+impl<'a, W: Windows> LevelStep<'a, W> {
     /// The window of the first picture, unless it lies outside or holds too little texture.
     fn prepare(
         from: &LkLevel,
         point: [f32; 2],
         config: &LkConfig,
+        template: &'a mut W::Template,
     ) -> Result<Self, (LkStatus, f32)> {
         let place = Place::new(corner_of(point), from).ok_or((LkStatus::OutOfPicture, 0.0))?;
-        let (template, gram) = W::template(from, &place);
+        let gram = W::template(from, &place, template);
         let [g11, g12, g22] = gram.map(|sum| sum as f32 * SUM_SCALE);
         let determinant = g11 * g22 - g12 * g12;
         let root = ((g11 - g22) * (g11 - g22) + 4.0 * g12 * g12).sqrt();
@@ -339,8 +350,7 @@ impl<W: Windows> LevelStep<W> {
             let Some(place) = Place::new(corner, to) else {
                 return (estimate, false);
             };
-            let [b1, b2] =
-                W::mismatch(&self.template, to, &place).map(|sum| sum as f32 * SUM_SCALE);
+            let [b1, b2] = W::mismatch(self.template, to, &place).map(|sum| sum as f32 * SUM_SCALE);
             let delta = [
                 (self.g12 * b2 - self.g22 * b1) * self.inverse_determinant,
                 (self.g12 * b1 - self.g11 * b2) * self.inverse_determinant,

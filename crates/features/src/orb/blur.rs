@@ -6,6 +6,10 @@ use garad_core::{GrayImage, Image};
 /// Taps in 1/256, rounded so that they add up to 256 (the error of each is carried to the next).
 pub const TAPS: [u16; 7] = [18, 34, 48, 56, 48, 34, 18];
 
+/// All taps are even. With half of each, a row's sums stay below 2¹⁵ and their pairs below 2¹⁶,
+/// so that twice as many fit into an instruction; nothing is rounded.
+const HALF_TAPS: [u16; 4] = [TAPS[0] / 2, TAPS[1] / 2, TAPS[2] / 2, TAPS[3] / 2];
+
 /// Blurs with reflect-101 at the edge:
 ///
 /// out(x, y) = (Σᵢⱼ wᵢ wⱼ in(x+i, y+j) + 2¹⁵) >> 16,   i, j = -3..3
@@ -30,12 +34,13 @@ pub fn blur_into(image: &GrayImage, rows: &mut Image<u16>, out: &mut GrayImage) 
     }
 }
 
-/// Σᵢ wᵢ in(x+i), at most 255 * 256, so 16 bits hold it.
+/// Σᵢ wᵢ/2 in(x+i), at most 255 * 128.
 fn blur_row(source: &[u8], out: &mut [u16]) {
     let w = source.len();
     let weigh = |p: [u8; 7]| -> u16 {
         let p = p.map(u16::from);
-        TAPS[0] * (p[0] + p[6]) + TAPS[1] * (p[1] + p[5]) + TAPS[2] * (p[2] + p[4]) + TAPS[3] * p[3]
+        let [t0, t1, t2, t3] = HALF_TAPS;
+        t0 * (p[0] + p[6]) + t1 * (p[1] + p[5]) + t2 * (p[2] + p[4]) + t3 * p[3]
     };
     if let Some(inside) = out.get_mut(3..w.saturating_sub(3)) {
         for (out, s) in inside.iter_mut().zip(source.windows(7)) {
@@ -50,19 +55,19 @@ fn blur_row(source: &[u8], out: &mut [u16]) {
     }
 }
 
-/// (Σⱼ wⱼ rowⱼ + 2¹⁵) >> 16.
+/// (Σⱼ wⱼ/2 rowⱼ + 2¹³) >> 14: both passes have left out a factor of 2.
+#[allow(clippy::cast_possible_truncation, reason = "a weighted mean of bytes")]
 fn blur_columns(rows: [&[u16]; 7], out: &mut [u8]) {
     let w = out.len();
     let [a, b, c, d, e, f, g] = rows.map(|row| &row[..w]);
-    let [t0, t1, t2, t3, ..] = TAPS.map(u32::from);
+    let [t0, t1, t2, t3] = HALF_TAPS.map(u32::from);
     for x in 0..w {
-        let pair = |p: u16, q: u16| u32::from(p) + u32::from(q);
-        let sum = t0 * pair(a[x], g[x])
-            + t1 * pair(b[x], f[x])
-            + t2 * pair(c[x], e[x])
+        let sum = t0 * u32::from(a[x] + g[x])
+            + t1 * u32::from(b[x] + f[x])
+            + t2 * u32::from(c[x] + e[x])
             + t3 * u32::from(d[x])
-            + (1 << 15);
-        out[x] = sum.to_be_bytes()[1]; // sum >> 16, at most 255
+            + (1 << 13);
+        out[x] = (sum >> 14) as u8;
     }
 }
 
