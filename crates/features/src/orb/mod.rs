@@ -11,10 +11,9 @@ pub mod detect;
 pub mod octree;
 pub mod orientation;
 mod pattern;
-pub mod subpixel;
 
 use garad_core::pyramid::{level_scales, level_sizes, resize_linear_into};
-use garad_core::{GrayImage, Image, Par, Real};
+use garad_core::{GrayImage, Image, Par};
 
 use crate::descriptor::Descriptor;
 use crate::error::FeatureError;
@@ -187,35 +186,6 @@ impl OrbExtractor {
                 .extend_from_slice(&level.features.descriptors);
         }
         Ok(all)
-    }
-
-    /// Moves keypoints of the last picture to where their corners exactly are, see
-    /// [`subpixel::corner_offset`]. Descriptors stay those of the whole pixels.
-    ///
-    /// # Errors
-    /// [`FeatureError::BadSetting`] for a keypoint of a level that does not exist.
-    pub fn refine(&self, keypoints: &mut [Keypoint]) -> Result<(), FeatureError> {
-        for keypoint in keypoints {
-            let level = usize::from(keypoint.level);
-            let Some(Level { image, .. }) = self.levels.get(level) else {
-                return Err(FeatureError::BadSetting {
-                    setting: "level of a keypoint",
-                    value: f64::from(keypoint.level),
-                    expected: "a level of the extractor",
-                });
-            };
-            let scale = self.scales[level];
-            #[allow(
-                clippy::cast_possible_truncation,
-                clippy::cast_sign_loss,
-                reason = "keypoints lie inside the picture; float to integer saturates"
-            )]
-            let pixel = |c: f32| (c / scale + 0.5) as usize;
-            let (dx, dy) = subpixel::corner_offset(image, pixel(keypoint.x), pixel(keypoint.y));
-            keypoint.x += dx.to_f32() * scale;
-            keypoint.y += dy.to_f32() * scale;
-        }
-        Ok(())
     }
 
     fn build_pyramid(&mut self, image: &GrayImage) {
