@@ -2,10 +2,10 @@
 //!
 //! Points are ideal pixels (x, y) of views 1 and 2, homogeneous p = (x, y, 1); everywhere
 //!
-//! p₂ᵀ F p₁ = 0,   F = K₂⁻ᵀ E K₁⁻¹,   E = [t]× R,   (R, t) = `second_from_first`.
+//! p₂ᵀ F p₁ = 0,   F = K₂⁻ᵀ E K₁⁻¹,   E = t^ R,   (R, t) = `second_from_first`.
 //!
 //! This file makes F from known poses and measures how far a pair of points is from agreeing with
-//! it; [`eight_point`] and [`ransac`] find F from pairs of points alone.
+//! it; [`mod@eight_point`] and [`ransac`] find F from pairs of points alone.
 
 pub mod eight_point;
 mod jacobi;
@@ -18,7 +18,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 pub use eight_point::eight_point;
 pub use ransac::{FundamentalEstimate, RansacConfig, fundamental_ransac};
 
-/// E = [t]× R.
+/// E = t^ R, with t^ u = t × u.
 ///
 /// Points on the normalised planes of two cameras satisfy x₂ᵀ E x₁ = 0. Zero for a pure rotation,
 /// which constrains nothing.
@@ -27,7 +27,7 @@ pub fn essential(second_from_first: &Se3) -> Matrix3<f64> {
     hat(&second_from_first.translation) * second_from_first.rotation.matrix()
 }
 
-/// F = K₂⁻ᵀ [t]× R K₁⁻¹ of two calibrated views, for ideal (undistorted) pixels.
+/// F = K₂⁻ᵀ t^ R K₁⁻¹ of two calibrated views, for ideal (undistorted) pixels.
 ///
 /// Source: Hartley & Zisserman 2004, eq. 9.2. Golden: `epipolar/*`.
 ///
@@ -151,7 +151,7 @@ pub(crate) mod tests {
 
     #[test]
     fn distances_by_hand() {
-        // Sideways motion with unit intrinsics: F = [t]×, lines are rows.
+        // Sideways motion with unit intrinsics: F = t^, lines are rows.
         let unit = Camera::pinhole((10, 10), [1.0, 1.0, 0.0, 0.0]).expect("valid");
         let sideways = Se3::new(So3::identity(), Vector3::x());
         let f = fundamental(&unit, &unit, &sideways);

@@ -63,7 +63,7 @@ struct Hypothesis {
 /// with probability `confidence`: 1 - (1 - wⁿ)ᵏ with w the share of inliers, n = 8.
 ///
 /// # Errors
-/// As [`super::eight_point`]; [`FeatureError::Degenerate`] also if no sample gave an F;
+/// As [`super::eight_point()`]; [`FeatureError::Degenerate`] also if no sample gave an F;
 /// [`FeatureError::BadSetting`] for a threshold that is not positive, a confidence outside (0, 1)
 /// or no samples.
 pub fn fundamental_ransac(

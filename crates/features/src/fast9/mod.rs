@@ -7,7 +7,7 @@
 //! score(q) = max( max_a min_{p ∈ a} (I(p) - I(q)),  max_a min_{p ∈ a} (I(q) - I(p)) ) - 1
 //!
 //! over the 16 arcs a of 9 consecutive circle pixels; q is a corner at threshold t if and only if
-//! score(q) ≥ t. [`reference`] computes just that; [`fast`] computes it only where four pairs
+//! score(q) ≥ t. [`mod@reference`] computes just that; [`fast`] computes it only where four pairs
 //! of opposite pixels leave it possible, and gives the same numbers. Source: Rosten & Drummond
 //! 2006; the score is OpenCV's.
 

@@ -10,7 +10,7 @@
 //! intensities times 32, Scharr derivatives, f32 from the sums on. OpenCV adds the sums in f32 and
 //! in an order that depends on the processor; here they are exact integers.
 //!
-//! [`pyramid`] prepares a frame once; [`reference`] and [`fast`] compute the sums over a window,
+//! [`pyramid`] prepares a frame once; [`mod@reference`] and `fast` compute the sums over a window,
 //! and the loop below is the same for both.
 
 mod fast;
