@@ -7,7 +7,7 @@ use std::hint::black_box;
 use criterion::{Criterion, criterion_group, criterion_main};
 use garad_core::{Camera, Rng, Se3};
 use garad_optim::{
-    BundleConfig, BundleObservation, PoseConfig, PoseObservation, RightObservation,
+    BundleConfig, BundleObservation, DepthObservation, PoseConfig, PoseObservation,
     optimise_bundle, optimise_pose,
 };
 use nalgebra::{Vector2, Vector3, Vector6};
@@ -35,12 +35,12 @@ fn frame(n: usize) -> Vec<PoseObservation> {
             let wrong = if i % 5 == 0 { 40.0 } else { 0.0 };
             let noise = Vector2::new(rng.normal(), rng.normal());
             let uv_px = seen + noise * sigma_px + Vector2::repeat(wrong * rng.uniform());
-            let right = RightObservation::from_depth(uv_px.x, sigma_px, depth_m, 0.01, BF);
+            let right = DepthObservation::right_from_depth(uv_px.x, sigma_px, depth_m, 0.01, BF);
             PoseObservation {
                 p_world: camera().unproject(&seen, depth_m),
                 uv_px,
                 sigma_px,
-                right: (i % 10 != 0).then_some(right),
+                depth: (i % 10 != 0).then_some(right),
             }
         })
         .collect()
@@ -94,7 +94,7 @@ fn window(keyframes: usize, points: usize) -> Window {
                 point,
                 uv_px,
                 sigma_px,
-                right: Some(RightObservation::from_depth(
+                depth: Some(DepthObservation::right_from_depth(
                     uv_px.x, sigma_px, p_cam.z, 0.02, BF,
                 )),
             });

@@ -145,7 +145,8 @@ mod tests {
 
     /// Summands of very different size: any change of order changes the last bits.
     fn chunked_sum(par: Par) -> f32 {
-        let value = |i: usize| 1.0 / (1.0 + i as f32) * if i % 7 == 0 { 1e4 } else { 1e-3 };
+        let value =
+            |i: usize| 1.0 / (1.0 + i as f32) * if i.is_multiple_of(7) { 1e4 } else { 1e-3 };
         par.map_chunks(100_003, 4096, |range| {
             range.map(value).fold(0.0f32, |a, b| a + b)
         })

@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 use crate::error::{OptimError, positive};
 use crate::lm::{LmConfig, Model, Report, minimise};
-use crate::reprojection::{Intrinsics, MIN_DEPTH_M, Reprojection, RightObservation, pose_jacobian};
+use crate::reprojection::{DepthObservation, Intrinsics, MIN_DEPTH_M, Reprojection, pose_jacobian};
 use crate::robust::RobustKernel;
 use crate::schur::{BundleStep, SchurSystem, Structure};
 
@@ -24,7 +24,7 @@ pub struct BundleObservation {
     /// Standard deviation of each coordinate, pixels.
     pub sigma_px: f64,
     /// Its depth reading, if there is one.
-    pub right: Option<RightObservation>,
+    pub depth: Option<DepthObservation>,
 }
 
 /// How a bundle is adjusted.
@@ -114,7 +114,7 @@ pub fn optimise_bundle(
     let inlier = observations
         .iter()
         .map(|o| {
-            let gate = match o.right {
+            let gate = match o.depth {
                 None => config.chi2_2d,
                 Some(_) => config.chi2_3d,
             };
@@ -137,7 +137,7 @@ impl BundleObservation {
         Reprojection {
             uv_px: self.uv_px,
             sigma_px: self.sigma_px,
-            right: self.right,
+            depth: self.depth,
         }
     }
 }
@@ -215,7 +215,7 @@ impl<'a> Model for &'a BundleModel {
             if p_cam.z < MIN_DEPTH_M {
                 return f64::INFINITY;
             }
-            let kernel = if o.right.is_none() {
+            let kernel = if o.depth.is_none() {
                 self.kernel2
             } else {
                 self.kernel3
@@ -233,7 +233,7 @@ impl<'a> Model for &'a BundleModel {
             let p_cam = rotation * state.points[o.point] + state.poses[o.pose].translation;
             let seen = o.reprojection();
             let at = (i, o.point);
-            match &o.right {
+            match &o.depth {
                 None => {
                     let r = seen.residual2(k, &p_cam);
                     let j = seen.point_jacobian2(k, &p_cam);

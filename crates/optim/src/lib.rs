@@ -18,7 +18,7 @@
 //! let observations = points.map(|(x, y, z)| {
 //!     let p_world = Vector3::new(x, y, z);
 //!     let uv_px = camera.project(&(truth * p_world)).unwrap();
-//!     PoseObservation { p_world, uv_px, sigma_px: 1.0, right: None }
+//!     PoseObservation { p_world, uv_px, sigma_px: 1.0, depth: None }
 //! });
 //! let solution =
 //!     optimise_pose(&camera, &observations, &Se3::identity(), &PoseConfig::default()).unwrap();
@@ -41,6 +41,6 @@ pub use bundle::{BundleConfig, BundleObservation, BundleReport, optimise_bundle}
 pub use check::check_jacobian;
 pub use error::OptimError;
 pub use lm::{LmConfig, Report, StopReason};
-pub use pose::{PoseConfig, PoseObservation, PoseSolution, RightObservation, optimise_pose};
+pub use pose::{DepthObservation, PoseConfig, PoseObservation, PoseSolution, optimise_pose};
 pub use robust::RobustKernel;
 pub use solve::{NotPositiveDefinite, ldlt_inverse, ldlt_solve};

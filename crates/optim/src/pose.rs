@@ -1,7 +1,7 @@
 //! [`optimise_pose`]: where is the camera, given points it sees (eq. 11)?
 //!
 //! {R, t} = argmin Σ ρ(‖r(R pᵢ + t)‖²) over static matches. The unknown is moved on the left,
-//! exp(ξ) * camera_from_world. Matches are never all right: several rounds of
+//! exp(ξ) * camera_from_world. Matches are never all depth: several rounds of
 //! Levenberg-Marquardt alternate with a gate that takes out what does not fit (and lets it back in
 //! when it does).
 
@@ -14,7 +14,7 @@ use crate::lm::{LmConfig, Report, minimise};
 use crate::reprojection::{Intrinsics, MIN_DEPTH_M, Reprojection, pose_jacobian};
 use crate::robust::RobustKernel;
 
-pub use crate::reprojection::RightObservation;
+pub use crate::reprojection::DepthObservation;
 
 /// A point of the map and where it was seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,7 +26,7 @@ pub struct PoseObservation {
     /// Standard deviation of each coordinate, pixels: 1.2^level for a keypoint of that level.
     pub sigma_px: f64,
     /// Its depth reading, if there is one.
-    pub right: Option<RightObservation>,
+    pub depth: Option<DepthObservation>,
 }
 
 /// How a pose is optimised.
@@ -203,7 +203,7 @@ impl PoseObservation {
         Reprojection {
             uv_px: self.uv_px,
             sigma_px: self.sigma_px,
-            right: self.right,
+            depth: self.depth,
         }
     }
 }
@@ -229,7 +229,7 @@ impl Problem<6> for PoseProblem {
                 return;
             }
             let seen = observation.reprojection();
-            match &seen.right {
+            match &seen.depth {
                 None => visitor.block(kernel2, &seen.residual2(k, &p_cam), || {
                     pose_jacobian(&seen.point_jacobian2(k, &p_cam), &p_cam)
                 }),
@@ -275,7 +275,7 @@ impl Gate<'_> {
 
     fn inliers(&self, pose: &Se3) -> Vec<bool> {
         self.per_observation(pose, |o, chi2| {
-            chi2 <= match o.right {
+            chi2 <= match o.depth {
                 None => self.config.chi2_2d,
                 Some(_) => self.config.chi2_3d,
             }

@@ -1,36 +1,76 @@
 //! The residual of one point seen by one camera, with the closed-form derivatives of eq. 11.
 //!
-//! r = (û - u, v̂ - v) / σ, and with a depth reading also (û_R - u_R) / σ_R, where
+//! r = (û - u, v̂ - v) / σ,   û = fx x/z + cx,   v̂ = fy y/z + cy,   (x, y, z) = R p + t
 //!
-//! û = fx x/z + cx,   v̂ = fy y/z + cy,   û_R = û - bf/z,   (x, y, z) = R p + t           (E12)
+//! A depth reading d adds a third residual, in one of two forms (decision 004):
 //!
-//! u_R is where a virtual second camera, a baseline b to the right, would see the point: a depth
-//! reading d becomes u - bf/d, which is as uncertain in pixels as triangulation would be. Giving
-//! it its own σ lets the caller say how good the depth sensor really is.
+//! right      (û - bf/z - u_R) / σ_R,   u_R = u - bf/d
+//! disparity  (bf/d - bf/z) / σ_δ                                                        (E12)
+//!
+//! The first is where a virtual second camera, a baseline b to the right, would see the point:
+//! ORB-SLAM's. It repeats the error of u, so σ_R is at least σ, and a good depth sensor counts for
+//! little. The second is the first minus the residual of u: what the sensor says, with its own σ.
 
 use garad_core::Camera;
 use nalgebra::{SMatrix, SVector, Vector2, Vector3};
 
 use crate::error::{OptimError, positive};
 
-/// The virtual right coordinate of an observation with depth.
+/// A depth reading as an observation.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RightObservation {
-    /// u - bf/d, pixels.
-    pub u_px: f64,
-    /// Its standard deviation, pixels.
-    pub sigma_px: f64,
+pub enum DepthObservation {
+    /// ORB-SLAM's virtual right coordinate.
+    Right {
+        /// u - bf/d, pixels.
+        u_px: f64,
+        /// Its standard deviation, that of u included, pixels.
+        sigma_px: f64,
+    },
+    /// The reading alone.
+    Disparity {
+        /// bf/d, pixels.
+        disparity_px: f64,
+        /// Its standard deviation, pixels.
+        sigma_px: f64,
+    },
 }
 
-impl RightObservation {
-    /// From a depth reading: u_R = u - bf/d. A depth error σ_d moves u_R by bf σ_d/d² on top of
-    /// the error of u itself.
+impl DepthObservation {
+    /// [`DepthObservation::Right`] from a depth reading. A depth error σ_d moves u_R by bf σ_d/d² on
+    /// top of the error of u itself.
     #[must_use]
-    pub fn from_depth(u_px: f64, sigma_px: f64, depth_m: f64, depth_sigma_m: f64, bf: f64) -> Self {
+    pub fn right_from_depth(
+        u_px: f64,
+        sigma_px: f64,
+        depth_m: f64,
+        depth_sigma_m: f64,
+        bf: f64,
+    ) -> Self {
         let from_depth = bf * depth_sigma_m / (depth_m * depth_m);
-        Self {
+        Self::Right {
             u_px: u_px - bf / depth_m,
             sigma_px: libm::hypot(sigma_px, from_depth),
+        }
+    }
+
+    /// [`DepthObservation::Disparity`] from a depth reading: σ_δ = bf σ_d/d².
+    #[must_use]
+    pub fn disparity_from_depth(depth_m: f64, depth_sigma_m: f64, bf: f64) -> Self {
+        Self::Disparity {
+            disparity_px: bf / depth_m,
+            sigma_px: bf * depth_sigma_m / (depth_m * depth_m),
+        }
+    }
+
+    /// Both forms as (c û - bf/z - m) / σ: (c, m, σ).
+    #[inline]
+    fn parts(&self) -> (f64, f64, f64) {
+        match *self {
+            Self::Right { u_px, sigma_px } => (1.0, u_px, sigma_px),
+            Self::Disparity {
+                disparity_px,
+                sigma_px,
+            } => (0.0, -disparity_px, sigma_px),
         }
     }
 }
@@ -40,7 +80,7 @@ impl RightObservation {
 pub(crate) struct Reprojection {
     pub(crate) uv_px: Vector2<f64>,
     pub(crate) sigma_px: f64,
-    pub(crate) right: Option<RightObservation>,
+    pub(crate) depth: Option<DepthObservation>,
 }
 
 /// The pinhole part of a camera, and bf = fx times baseline, px·m.
@@ -67,16 +107,16 @@ impl Intrinsics {
 impl Reprojection {
     /// Finite coordinates, positive standard deviations.
     pub(crate) fn validate(&self, index: usize) -> Result<(), OptimError> {
-        let right = self.right.map_or(0.0, |r| r.u_px);
-        if !(self.uv_px.x.is_finite() && self.uv_px.y.is_finite() && right.is_finite()) {
+        let depth = self.depth.map_or(0.0, |depth| depth.parts().1);
+        if !(self.uv_px.x.is_finite() && self.uv_px.y.is_finite() && depth.is_finite()) {
             return Err(OptimError::NotFinite {
                 what: "observation",
                 index,
             });
         }
         positive("sigma_px of observation", index, self.sigma_px)?;
-        self.right.map_or(Ok(()), |right| {
-            positive("right sigma_px of observation", index, right.sigma_px)
+        self.depth.map_or(Ok(()), |depth| {
+            positive("depth sigma_px of observation", index, depth.parts().2)
         })
     }
 
@@ -90,17 +130,18 @@ impl Reprojection {
         ])
     }
 
-    /// The same with (û_R - u_R) / σ_R below it.
+    /// The same with the residual of the depth reading below it.
     #[inline]
     pub(crate) fn residual3(
         &self,
         k: &Intrinsics,
-        right: &RightObservation,
+        depth: &DepthObservation,
         p_cam: &Vector3<f64>,
     ) -> SVector<f64, 3> {
         let two = self.residual2(k, p_cam);
-        let u_right = (k.fx * p_cam.x - k.bf) / p_cam.z + k.cx;
-        SVector::from([two[0], two[1], (u_right - right.u_px) / right.sigma_px])
+        let (c, m, sigma) = depth.parts();
+        let u_right = (c * k.fx * p_cam.x - k.bf) / p_cam.z + c * k.cx;
+        SVector::from([two[0], two[1], (u_right - m) / sigma])
     }
 
     /// ‖r‖², infinite behind the camera and where numbers overflow.
@@ -109,9 +150,9 @@ impl Reprojection {
         if p_cam.z < MIN_DEPTH_M {
             return f64::INFINITY;
         }
-        let chi2 = match &self.right {
+        let chi2 = match &self.depth {
             None => self.residual2(k, p_cam).norm_squared(),
-            Some(right) => self.residual3(k, right, p_cam).norm_squared(),
+            Some(depth) => self.residual3(k, depth, p_cam).norm_squared(),
         };
         if chi2.is_finite() {
             chi2
@@ -134,19 +175,20 @@ impl Reprojection {
         ])
     }
 
-    /// All three rows; the third is that of û with -bf/z added: ∂(-bf/z)/∂z = bf/z².
+    /// All three rows; the third is that of c û - bf/z: ∂(-bf/z)/∂z = bf/z².
     #[inline]
     #[rustfmt::skip]
     pub(crate) fn point_jacobian3(
         &self,
         k: &Intrinsics,
-        right: &RightObservation,
+        depth: &DepthObservation,
         p_cam: &Vector3<f64>,
     ) -> SMatrix<f64, 3, 3> {
         let two = self.point_jacobian2(k, p_cam);
         let inv_z = 1.0 / p_cam.z;
-        let fx = k.fx * inv_z / right.sigma_px;
-        let bf = k.bf * inv_z * inv_z / right.sigma_px;
+        let (c, _, sigma) = depth.parts();
+        let fx = c * k.fx * inv_z / sigma;
+        let bf = k.bf * inv_z * inv_z / sigma;
         SMatrix::from_row_slice(&[
             two[(0, 0)], 0.0,         two[(0, 2)],
             0.0,         two[(1, 1)], two[(1, 2)],

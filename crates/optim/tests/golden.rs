@@ -5,8 +5,8 @@ use garad_golden::Case;
 use garad_optim::dense::{Problem, Recorder};
 use garad_optim::pose::PoseProblem;
 use garad_optim::{
-    BundleConfig, BundleObservation, BundleReport, PoseConfig, PoseObservation, PoseSolution,
-    Report, RightObservation, RobustKernel, StopReason, optimise_bundle, optimise_pose,
+    BundleConfig, BundleObservation, BundleReport, DepthObservation, PoseConfig, PoseObservation,
+    PoseSolution, Report, RobustKernel, StopReason, optimise_bundle, optimise_pose,
 };
 use nalgebra::{Matrix3, Vector2, Vector3};
 
@@ -23,16 +23,16 @@ fn pose_observations(case: &Case) -> Vec<PoseObservation> {
             p_world: Vector3::from_column_slice(&p_world[3 * i..3 * i + 3]),
             uv_px: Vector2::from_column_slice(&uv[2 * i..2 * i + 2]),
             sigma_px: sigma[i],
-            right: right_observation(&right[2 * i..2 * i + 2]),
+            depth: right_observation(&right[2 * i..2 * i + 2]),
         })
         .collect()
 }
 
 /// (u_R, σ_R), NaN for none.
-fn right_observation(pair: &[f64]) -> Option<RightObservation> {
+fn right_observation(pair: &[f64]) -> Option<DepthObservation> {
     let [u_px, sigma_px] = [pair[0], pair[1]];
     u_px.is_finite()
-        .then_some(RightObservation { u_px, sigma_px })
+        .then_some(DepthObservation::Right { u_px, sigma_px })
 }
 
 fn initial(case: &Case) -> Se3 {
@@ -178,7 +178,7 @@ fn adjust(case: &Case, config: &BundleConfig) -> Bundle {
             point: index(pair[1]),
             uv_px: Vector2::from_column_slice(&uv[2 * i..2 * i + 2]),
             sigma_px: sigma[i],
-            right: right_observation(&right[2 * i..2 * i + 2]),
+            depth: right_observation(&right[2 * i..2 * i + 2]),
         })
         .collect();
     let report = optimise_bundle(

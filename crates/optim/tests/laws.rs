@@ -7,7 +7,7 @@ use garad_optim::dense::{Cost, Dense, NormalEquations, Problem, Recorder, Visito
 use garad_optim::lm::{LmConfig, Report, StopReason, Trial, minimise, minimise_observed};
 use garad_optim::pose::PoseProblem;
 use garad_optim::{
-    OptimError, PoseConfig, PoseObservation, RightObservation, RobustKernel, check_jacobian,
+    DepthObservation, OptimError, PoseConfig, PoseObservation, RobustKernel, check_jacobian,
     optimise_pose,
 };
 use nalgebra::{SMatrix, SVector, Vector2, Vector3, Vector6};
@@ -235,7 +235,8 @@ fn camera() -> Camera {
 
 const BF: f64 = 40.0;
 
-/// Points before a camera at `truth`, seen without noise; every second one with depth.
+/// Points before a camera at `truth`, seen without noise; every second one with depth, in both
+/// forms by turns.
 fn observations(truth: &Se3, n: usize, seed: u64) -> Vec<PoseObservation> {
     let mut rng = Rng::keyed(seed, &[n as u64]);
     (0..n)
@@ -247,8 +248,13 @@ fn observations(truth: &Se3, n: usize, seed: u64) -> Vec<PoseObservation> {
                 p_world: truth.inverse() * camera().unproject(&uv_px, depth_m),
                 uv_px,
                 sigma_px,
-                right: (i % 2 == 0)
-                    .then(|| RightObservation::from_depth(uv_px.x, sigma_px, depth_m, 0.01, BF)),
+                depth: match i % 4 {
+                    0 => Some(DepthObservation::right_from_depth(
+                        uv_px.x, sigma_px, depth_m, 0.01, BF,
+                    )),
+                    2 => Some(DepthObservation::disparity_from_depth(depth_m, 0.01, BF)),
+                    _ => None,
+                },
             }
         })
         .collect()
@@ -395,11 +401,11 @@ fn bad_input_is_named() {
         with(|o| o.sigma_px = 0.0).contains("sigma_px of observation 4 is 0"),
         "sigma"
     );
-    let right = |u_px, sigma_px| Some(RightObservation { u_px, sigma_px });
+    let right = |u_px, sigma_px| Some(DepthObservation::Right { u_px, sigma_px });
     let mut seen = good.clone();
-    seen[4].right = right(f64::NAN, 1.0);
+    seen[4].depth = right(f64::NAN, 1.0);
     assert!(solve(&seen, &config).is_err(), "right coordinate");
-    seen[4].right = right(1.0, -1.0);
+    seen[4].depth = right(1.0, -1.0);
     assert!(solve(&seen, &config).is_err(), "right sigma");
     let flat = PoseConfig { bf: 0.0, ..config };
     assert!(solve(&good, &flat).is_err(), "no baseline");
@@ -448,13 +454,26 @@ fn extreme_numbers_leave_the_pose_finite() {
     }
 }
 
-/// σ from a depth error: u_R moves by bf/d² per metre.
+/// σ from a depth error: u_R and the disparity move by bf/d² per metre.
 #[test]
-fn right_observation_of_a_depth_reading() {
-    let right = RightObservation::from_depth(300.0, 1.2, 2.0, 0.05, BF);
-    assert!((right.u_px - 280.0).abs() < 1e-12, "300 - 40/2");
+fn a_depth_reading_in_both_forms() {
+    let right = DepthObservation::right_from_depth(300.0, 1.2, 2.0, 0.05, BF);
+    let disparity = DepthObservation::disparity_from_depth(2.0, 0.05, BF);
+    let DepthObservation::Right { u_px, sigma_px } = right else {
+        panic!("{right:?}");
+    };
+    assert!((u_px - 280.0).abs() < 1e-12, "300 - 40/2");
     assert!(
-        (right.sigma_px - 1.3).abs() < 1e-12,
+        (sigma_px - 1.3).abs() < 1e-12,
         "1.2 and 40/4·0.05 = 0.5 are the legs"
     );
+    let DepthObservation::Disparity {
+        disparity_px,
+        sigma_px,
+    } = disparity
+    else {
+        panic!("{disparity:?}");
+    };
+    assert!((disparity_px - 20.0).abs() < 1e-12, "40/2");
+    assert!((sigma_px - 0.5).abs() < 1e-12, "40/4·0.05");
 }

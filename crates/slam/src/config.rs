@@ -16,6 +16,8 @@ pub struct Config {
     pub tracking: TrackingConfig,
     /// Keyframes and landmarks.
     pub keyframes: KeyframeConfig,
+    /// Matches sharpened by Lucas-Kanade.
+    pub refine: RefineConfig,
     /// Local bundle adjustment.
     pub local_ba: LocalBaConfig,
     /// Gaussians from depth.
@@ -38,6 +40,9 @@ pub struct FeatureConfig {
     pub fast_threshold: u8,
     /// See `fast_threshold`.
     pub fast_min_threshold: u8,
+    /// Place keypoints of coarse levels at the centre of what their pixel covers; off: multiply by
+    /// the scale, as ORB-SLAM does. See decision 003.
+    pub exact_levels: bool,
     /// Depth beyond this is not used, metres.
     pub max_depth_m: f64,
     /// A keypoint whose 3x3 depths differ by more than this share of its depth sits on an edge:
@@ -53,6 +58,7 @@ impl Default for FeatureConfig {
             levels: 8,
             fast_threshold: 20,
             fast_min_threshold: 7,
+            exact_levels: true,
             max_depth_m: 8.0,
             edge_ratio: 0.05,
         }
@@ -91,8 +97,22 @@ pub struct TrackingConfig {
     pub max_local_keyframes: usize,
     /// Virtual stereo: focal length times baseline, px·m.
     pub bf: f64,
-    /// Standard deviation of the sensor's depth as disparity, px at `bf`. Kinect: σ_z ≈ 1.4e-3 z².
+    /// How a depth reading enters the pose and the bundle.
+    pub depth_residual: DepthResidual,
+    /// For `disparity`: standard deviation of the sensor's depth, px at `bf`: σ_z = σ z² / bf. A
+    /// Kinect alone has 0.05 to 0.08; more leaves room for depth not quite registered to colour.
     pub disparity_sigma_px: f64,
+}
+
+/// The third residual of an observation with depth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DepthResidual {
+    /// The reading alone, as a disparity with the sensor's σ.
+    Disparity,
+    /// ORB-SLAM's virtual right coordinate, with the σ of the keypoint.
+    #[default]
+    Right,
 }
 
 impl Default for TrackingConfig {
@@ -112,7 +132,36 @@ impl Default for TrackingConfig {
             min_inliers_after_recovery: 50,
             max_local_keyframes: 80,
             bf: 40.0,
+            depth_residual: DepthResidual::Right,
             disparity_sigma_px: 0.3,
+        }
+    }
+}
+
+/// Matches sharpened by Lucas-Kanade against the keyframe they were learnt from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RefineConfig {
+    /// Off: keypoints stay where they were detected, as in ORB-SLAM.
+    pub enabled: bool,
+    /// Keyframes whose pictures are kept for it, youngest first.
+    pub keyframes: usize,
+    /// Standard deviation of a sharpened match, px.
+    pub sigma_px: f64,
+    /// A match farther than this from where the pose predicts it is not believed, px.
+    pub max_shift_px: f64,
+    /// Nor is one whose patches differ by more than this, mean grey levels.
+    pub max_residual: f32,
+}
+
+impl Default for RefineConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            keyframes: 20,
+            sigma_px: 0.7,
+            max_shift_px: 3.0,
+            max_residual: 20.0,
         }
     }
 }
@@ -127,11 +176,12 @@ pub struct KeyframeConfig {
     pub ref_ratio: f64,
     /// A frame with fewer inliers than this is too weak to become one.
     pub min_inliers: usize,
-    /// At most this many frames between two keyframes.
+    /// At most this many frames between two keyframes (ORB-SLAM: a second's worth); see decision 003.
     pub max_gap: usize,
     /// At least this many frames between two keyframes.
     pub min_gap: usize,
-    /// Landmarks nearer than this are made at once, metres (ORB-SLAM: 40 baselines).
+    /// Landmarks nearer than this are made at once, metres. ORB-SLAM takes 40 baselines, about 3 m;
+    /// see decision 003.
     pub close_m: f64,
     /// Fewer tracked close points than this, while ...
     pub close_tracked_min: usize,
@@ -151,9 +201,9 @@ impl Default for KeyframeConfig {
             first_min_keypoints: 100,
             ref_ratio: 0.75,
             min_inliers: 15,
-            max_gap: 30,
+            max_gap: 10,
             min_gap: 0,
-            close_m: 3.0,
+            close_m: 6.0,
             close_tracked_min: 100,
             close_untracked_min: 70,
             min_new_landmarks: 100,

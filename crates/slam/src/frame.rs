@@ -1,8 +1,8 @@
 //! [`Frame`]: what tracking needs to know of one picture.
 
+use garad_core::pyramid::{level_scales, level_sizes};
 use garad_core::{Camera, DepthImage, FrameId, Label, LandmarkId, MaskImage, Se3};
 use garad_features::{Descriptor, Keypoint};
-use garad_optim::RightObservation;
 use nalgebra::{Vector2, Vector3};
 
 use crate::config::{Config, FeatureConfig};
@@ -20,6 +20,10 @@ pub struct Frame {
     pub keypoints: Vec<Keypoint>,
     /// Their descriptors.
     pub descriptors: Vec<Descriptor>,
+    /// Their places in the full picture (distorted), px.
+    pub px: Vec<Vector2<f64>>,
+    /// How far to trust them: 1.2^level px, or what refinement says.
+    pub sigma_px: Vec<f64>,
     /// Where a pinhole would have seen them.
     pub uv_px: Vec<Vector2<f64>>,
     /// Metres along z; `None` where the sensor gave none or the point sits on a depth edge.
@@ -45,24 +49,26 @@ impl Frame {
         depth: &DepthImage,
         mask: Option<&MaskImage>,
         camera: &Camera,
+        levels: &Levels,
         config: &Config,
     ) -> Self {
         let outside = Vector2::new(f64::NAN, f64::NAN);
-        let uv_px: Vec<_> = keypoints
+        let px: Vec<_> = keypoints.iter().map(|k| levels.center(k)).collect();
+        let uv_px: Vec<_> = px
             .iter()
-            .map(|k| {
-                camera
-                    .undistort_pixel(&Vector2::new(f64::from(k.x), f64::from(k.y)))
-                    .unwrap_or(outside)
-            })
+            .map(|p| camera.undistort_pixel(p).unwrap_or(outside))
             .collect();
-        let depth_m = keypoints
+        let sigma_px = keypoints
             .iter()
-            .map(|k| depth_at(depth, k, &config.features))
+            .map(|k| levels.scale[usize::from(k.level)])
             .collect();
-        let label: Vec<_> = keypoints
+        let depth_m = px
             .iter()
-            .map(|k| mask.map_or(Label::Static, |m| label_at(m, k, config.labels.dilate_px)))
+            .map(|p| depth_at(depth, p, &config.features))
+            .collect();
+        let label: Vec<_> = px
+            .iter()
+            .map(|p| mask.map_or(Label::Static, |m| label_at(m, p, config.labels.dilate_px)))
             .collect();
         let grid = Grid::new(camera, &uv_px, &label);
         Self {
@@ -72,6 +78,8 @@ impl Frame {
             landmark: vec![None; keypoints.len()],
             keypoints,
             descriptors,
+            px,
+            sigma_px,
             uv_px,
             depth_m,
             label,
@@ -104,20 +112,23 @@ impl Frame {
         Some(self.camera_from_world.inverse() * camera.unproject(&self.uv_px[i], depth))
     }
 
-    /// The virtual right coordinate u - bf/z of a keypoint with depth, and how far to trust it:
-    /// the keypoint's own uncertainty and the sensor's disparity noise.
-    #[must_use]
-    pub fn right(
-        &self,
+    /// Puts keypoint i at a better place (distorted px), with the depth read there. A place without
+    /// an ideal pixel changes nothing.
+    pub fn move_keypoint(
+        &mut self,
         i: usize,
+        px: Vector2<f64>,
         sigma_px: f64,
-        bf: f64,
-        disparity_sigma_px: f64,
-    ) -> Option<RightObservation> {
-        self.depth_m[i].map(|depth| RightObservation {
-            u_px: self.uv_px[i].x - bf / depth,
-            sigma_px: (sigma_px * sigma_px + disparity_sigma_px * disparity_sigma_px).sqrt(),
-        })
+        depth: &DepthImage,
+        camera: &Camera,
+        config: &Config,
+    ) {
+        if let Some(uv_px) = camera.undistort_pixel(&px) {
+            self.px[i] = px;
+            self.uv_px[i] = uv_px;
+            self.sigma_px[i] = sigma_px;
+            self.depth_m[i] = depth_at(depth, &px, &config.features);
+        }
     }
 
     /// Static keypoints within `radius_px` of a place, at levels `low..=high`, in index order
@@ -138,10 +149,57 @@ impl Frame {
     }
 }
 
+/// Where the pixels of each ORB level lie in the picture.
+///
+/// A resized picture keeps its outer edges, so pixel x of a level W_l wide has its centre at
+/// (x + ½) W/W_l - ½ of the full one. ORB-SLAM multiplies by 1.2^l instead, which is off by up to
+/// 1.3 px at the coarsest level and moves points that are seen at changing levels (decision 003).
+#[derive(Debug, Clone)]
+pub struct Levels {
+    /// 1.2^l as the extractor multiplies it into keypoints.
+    scale: Vec<f64>,
+    /// (W/W_l, H/H_l).
+    ratio: Vec<(f64, f64)>,
+    exact: bool,
+}
+
+impl Levels {
+    /// For pictures of this size.
+    #[must_use]
+    pub fn new((width, height): (usize, usize), factor: f32, count: usize, exact: bool) -> Self {
+        let ratio = level_sizes((width, height), factor, count)
+            .iter()
+            .map(|(w, h)| (width as f64 / *w as f64, height as f64 / *h as f64))
+            .collect();
+        let scale = level_scales(factor, count)
+            .iter()
+            .map(|s| f64::from(*s))
+            .collect();
+        Self {
+            scale,
+            ratio,
+            exact,
+        }
+    }
+
+    /// The keypoint's place in the full picture, px.
+    #[must_use]
+    pub fn center(&self, keypoint: &Keypoint) -> Vector2<f64> {
+        let (x, y) = (f64::from(keypoint.x), f64::from(keypoint.y));
+        let level = usize::from(keypoint.level);
+        if !self.exact {
+            return Vector2::new(x, y);
+        }
+        let (rx, ry) = self.ratio[level];
+        let at = |c: f64, ratio: f64| (c / self.scale[level] + 0.5) * ratio - 0.5;
+        Vector2::new(at(x, rx), at(y, ry))
+    }
+}
+
 /// Depth at a keypoint's nearest pixel; `None` if missing, too far, or on an edge: the valid
 /// depths of the 3x3 pixels around it spread by more than `edge_ratio` of it.
-fn depth_at(depth: &DepthImage, keypoint: &Keypoint, config: &FeatureConfig) -> Option<f64> {
-    let (x, y) = nearest_pixel(keypoint, depth.size())?;
+fn depth_at(depth: &DepthImage, px: &Vector2<f64>, config: &FeatureConfig) -> Option<f64> {
+    let (x, y) = nearest_pixel(px, depth.size())?;
     let usable = |d: f32| d.is_finite() && d > 0.0 && f64::from(d) <= config.max_depth_m;
     let center = depth[(x, y)];
     if !usable(center) {
@@ -162,8 +220,8 @@ fn depth_at(depth: &DepthImage, keypoint: &Keypoint, config: &FeatureConfig) -> 
 }
 
 /// Dynamic if any pixel of the square of `radius` around the keypoint moves (255).
-fn label_at(mask: &MaskImage, keypoint: &Keypoint, radius: usize) -> Label {
-    let Some((x, y)) = nearest_pixel(keypoint, mask.size()) else {
+fn label_at(mask: &MaskImage, px: &Vector2<f64>, radius: usize) -> Label {
+    let Some((x, y)) = nearest_pixel(px, mask.size()) else {
         return Label::Static;
     };
     let (right, bottom) = (mask.width() - 1, mask.height() - 1);
@@ -181,9 +239,9 @@ fn label_at(mask: &MaskImage, keypoint: &Keypoint, radius: usize) -> Label {
     clippy::cast_sign_loss,
     reason = "compared with the picture's bounds before the cast"
 )]
-fn nearest_pixel(keypoint: &Keypoint, (width, height): (usize, usize)) -> Option<(usize, usize)> {
-    let (x, y) = ((keypoint.x + 0.5).floor(), (keypoint.y + 0.5).floor());
-    let inside = x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32;
+fn nearest_pixel(px: &Vector2<f64>, (width, height): (usize, usize)) -> Option<(usize, usize)> {
+    let (x, y) = ((px.x + 0.5).floor(), (px.y + 0.5).floor());
+    let inside = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
     inside.then_some((x as usize, y as usize))
 }
 
@@ -288,6 +346,7 @@ mod tests {
             depth,
             mask,
             &camera,
+            &Levels::new(depth.size(), 1.2, 8, true),
             &config,
         )
     }
@@ -299,9 +358,9 @@ mod tests {
         let points: Vec<_> = (0..300)
             .map(|_| {
                 (
-                    rng.range(0.0, 63.0) as f32,
-                    rng.range(0.0, 47.0) as f32,
-                    rng.below(4) as u8,
+                    to_f32(rng.range(0.0, 63.0)),
+                    to_f32(rng.range(0.0, 47.0)),
+                    u8::try_from(rng.below(4)).expect("below 4"),
                 )
             })
             .collect();

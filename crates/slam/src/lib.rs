@@ -19,6 +19,7 @@ pub mod map;
 pub mod matching;
 pub mod observer;
 pub mod recover;
+pub mod refine;
 pub mod seed;
 pub mod system;
 pub mod tracker;

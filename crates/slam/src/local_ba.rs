@@ -66,7 +66,7 @@ impl Slam {
                     point: points.len(),
                     uv_px: seen.uv_px,
                     sigma_px: seen.sigma_px,
-                    right: seen.right,
+                    depth: seen.depth,
                 });
                 sources.push((*id, *keyframe));
             }

@@ -1,14 +1,16 @@
 //! [`Slam`]: the state of a run and the order of stages.
 
+use std::collections::BTreeMap;
+
 use garad_core::{
     Camera, CameraError, DepthImage, FrameId, GaussianMap, KeyframeId, Label, LandmarkId,
     MaskImage, Par, RgbImage, Se3, StampedPose,
 };
-use garad_features::{FeatureError, OrbConfig, OrbExtractor};
+use garad_features::{FeatureError, LkPyramid, OrbConfig, OrbExtractor};
 use thiserror::Error;
 
 use crate::config::{Config, ConfigError};
-use crate::frame::Frame;
+use crate::frame::{Frame, Levels};
 use crate::map::Map;
 use crate::observer::{Observer, Stage};
 use crate::seed::{Picture, seed_from_depth};
@@ -104,6 +106,9 @@ pub struct Slam {
     pub(crate) last_keyframe_frame: FrameId,
     pub(crate) recent: Vec<LandmarkId>,
     extractor: OrbExtractor,
+    levels: Levels,
+    /// Pictures of the youngest keyframes, for refinement.
+    pub(crate) pyramids: BTreeMap<KeyframeId, LkPyramid>,
     gaussians: GaussianMap,
     state: TrackingState,
     recovered_at: Option<FrameId>,
@@ -133,6 +138,8 @@ impl Slam {
             reason = "1.2 as the f32 it is defined in"
         )]
         let scale = features.scale as f32;
+        let size = (camera.width, camera.height);
+        let levels = Levels::new(size, scale, features.levels, features.exact_levels);
         let extractor = OrbExtractor::new(OrbConfig {
             features: features.count,
             scale,
@@ -157,6 +164,8 @@ impl Slam {
             last_keyframe_frame: FrameId(0),
             recent: Vec::new(),
             extractor,
+            levels,
+            pyramids: BTreeMap::new(),
             gaussians: GaussianMap::new(0),
             state: TrackingState::NotInitialised,
             recovered_at: None,
@@ -184,8 +193,13 @@ impl Slam {
         self.check_sizes(id, input)?;
 
         observer.begin(Stage::Orb);
-        let found = self.extractor.extract(&input.rgb.to_gray(), self.par);
+        let gray = input.rgb.to_gray();
+        let found = self.extractor.extract(&gray, self.par);
         observer.end(Stage::Orb);
+        let pyramid = match self.config.refine.enabled {
+            true => LkPyramid::new(&gray, 1).ok(),
+            false => None,
+        };
         let features = found.map_err(|source| SlamError::Features { frame: id, source })?;
         let mut frame = Frame::new(
             id,
@@ -195,12 +209,15 @@ impl Slam {
             input.depth,
             input.mask,
             &self.camera,
+            &self.levels,
             &self.config,
         );
 
         let inliers = match self.state {
             TrackingState::NotInitialised => self.initialise(&mut frame),
-            TrackingState::Tracking | TrackingState::Lost => self.track(&mut frame, observer),
+            TrackingState::Tracking | TrackingState::Lost => {
+                self.track(&mut frame, pyramid.as_ref(), input.depth, observer)
+            }
         };
         let mut report = FrameReport {
             id,
@@ -218,6 +235,7 @@ impl Slam {
             if self.map.keyframes().is_empty() || self.needs_keyframe(&frame, inliers) {
                 let keyframe = self.keep(frame.clone(), input, observer);
                 report.keyframe = Some(keyframe);
+                self.remember_picture(keyframe, pyramid);
                 // The adjusted keyframe is what the next frame starts from.
                 frame = self.map.keyframe(keyframe).clone();
             }
@@ -325,7 +343,13 @@ impl Slam {
     }
 
     /// Motion model, then reference keyframe (or, when lost, all keyframes), then local map.
-    fn track(&mut self, frame: &mut Frame, observer: &mut dyn Observer) -> usize {
+    fn track(
+        &mut self,
+        frame: &mut Frame,
+        pyramid: Option<&LkPyramid>,
+        depth: &DepthImage,
+        observer: &mut dyn Observer,
+    ) -> usize {
         let was_lost = self.state == TrackingState::Lost;
         let first_pose = if was_lost {
             observer.begin(Stage::Recover);
@@ -351,7 +375,7 @@ impl Slam {
         let mut inliers = 0;
         if first_pose {
             observer.begin(Stage::TrackLocalMap);
-            inliers = self.track_local_map(frame);
+            inliers = self.track_local_map(frame, pyramid, depth);
             observer.end(Stage::TrackLocalMap);
         }
         if inliers >= needed {
@@ -368,6 +392,16 @@ impl Slam {
             self.velocity = None;
         }
         inliers
+    }
+
+    /// Keeps a keyframe's picture and forgets the oldest one beyond the limit.
+    fn remember_picture(&mut self, keyframe: KeyframeId, pyramid: Option<LkPyramid>) {
+        if let Some(pyramid) = pyramid {
+            self.pyramids.insert(keyframe, pyramid);
+        }
+        while self.pyramids.len() > self.config.refine.keyframes {
+            self.pyramids.pop_first();
+        }
     }
 
     /// Keeps a frame: landmarks, bundle adjustment, Gaussians.

@@ -6,9 +6,11 @@
 //! | [`Slam::track_reference`] | the reference keyframe's descriptors, if that failed | first pose |
 //! | [`Slam::track_local_map`] | everything the neighbourhood's keyframes see | final pose |
 
-use garad_core::{Label, LandmarkId, Se3};
-use garad_optim::{PoseConfig, PoseObservation, optimise_pose};
+use garad_core::{DepthImage, Label, LandmarkId, Se3};
+use garad_features::LkPyramid;
+use garad_optim::{DepthObservation, PoseConfig, PoseObservation, optimise_pose};
 
+use crate::config::DepthResidual;
 use crate::frame::Frame;
 use crate::map::by_count;
 use crate::matching::Matcher;
@@ -80,12 +82,18 @@ impl Slam {
         matches >= config.reference_min_matches && self.optimise(frame) >= config.motion_min_inliers
     }
 
-    /// Final pose: links every landmark of the local map that can be found in the frame and
-    /// optimises over all of them. Returns the number of inliers.
+    /// Final pose: links every landmark of the local map that can be found in the frame, optimises
+    /// over all of them, sharpens the links ([`Slam::refine`], given the frame's pyramid) and
+    /// optimises again. Returns the number of inliers.
     ///
     /// The local map is what these keyframes see: those that observe the frame's landmarks, and
     /// the ten most covisible of each, up to `max_local_keyframes`.
-    pub(crate) fn track_local_map(&mut self, frame: &mut Frame) -> usize {
+    pub(crate) fn track_local_map(
+        &mut self,
+        frame: &mut Frame,
+        pyramid: Option<&LkPyramid>,
+        depth: &DepthImage,
+    ) -> usize {
         let mut linked: Vec<_> = frame.landmark.iter().flatten().copied().collect();
         linked.sort_unstable();
         let votes = self.map.observers(linked.iter().copied());
@@ -118,17 +126,23 @@ impl Slam {
             let seen = self
                 .map
                 .appearance(landmark, frame, &self.camera, &self.scales);
-            if already_linked || seen.is_some() {
-                if let Some(landmark) = self.map.landmark_mut(id) {
-                    landmark.visible += 1;
-                }
+            if (already_linked || seen.is_some())
+                && let Some(landmark) = self.map.landmark_mut(id)
+            {
+                landmark.visible += 1;
             }
             if let Some(seen) = seen.filter(|_| !already_linked) {
                 visible.push((id, seen));
             }
         }
         self.matcher().from_local_map(&self.map, &visible, frame);
-        let inliers = self.optimise(frame);
+        let mut inliers = self.optimise(frame);
+        if let Some(pyramid) = pyramid
+            && inliers > 0
+        {
+            self.refine(frame, pyramid, depth);
+            inliers = self.optimise(frame);
+        }
         for id in frame.landmark.iter().flatten() {
             if let Some(landmark) = self.map.landmark_mut(*id) {
                 landmark.found += 1;
@@ -179,20 +193,34 @@ impl Slam {
         }
     }
 
-    /// Keypoint i of a frame as an observation of a point: σ = 1.2^level px, depth as disparity.
+    /// Keypoint i of a frame as an observation of a point: its place with its σ, and the depth reading
+    /// as a disparity of its own σ (decision 004).
     pub(crate) fn observation(
         &self,
         frame: &Frame,
         i: usize,
         p_world: nalgebra::Vector3<f64>,
     ) -> PoseObservation {
-        let sigma_px = self.scales[usize::from(frame.keypoints[i].level)];
+        let sigma_px = frame.sigma_px[i];
         let config = &self.config.tracking;
+        let depth = frame.depth_m[i].map(|depth_m| {
+            let disparity_px = config.bf / depth_m;
+            match config.depth_residual {
+                DepthResidual::Disparity => DepthObservation::Disparity {
+                    disparity_px,
+                    sigma_px: config.disparity_sigma_px,
+                },
+                DepthResidual::Right => DepthObservation::Right {
+                    u_px: frame.uv_px[i].x - disparity_px,
+                    sigma_px,
+                },
+            }
+        });
         PoseObservation {
             p_world,
             uv_px: frame.uv_px[i],
             sigma_px,
-            right: frame.right(i, sigma_px, config.bf, config.disparity_sigma_px),
+            depth,
         }
     }
 

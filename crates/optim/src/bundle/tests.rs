@@ -39,13 +39,13 @@ fn scene(n_poses: usize, n_points: usize) -> Scene {
         for (point, p_world) in truth.points.iter().enumerate() {
             let p_cam = *camera_from_world * *p_world;
             let uv_px = camera.project(&p_cam).unwrap();
-            let depth = RightObservation::from_depth(uv_px.x, 1.2, p_cam.z, 0.02, BF);
+            let depth = DepthObservation::right_from_depth(uv_px.x, 1.2, p_cam.z, 0.02, BF);
             observations.push(BundleObservation {
                 pose,
                 point,
                 uv_px,
                 sigma_px: 1.2,
-                right: ((pose + point) % 2 == 0).then_some(depth),
+                depth: ((pose + point) % 2 == 0).then_some(depth),
             });
         }
     }
