@@ -152,6 +152,9 @@ pub struct RefineConfig {
     pub max_shift_px: f64,
     /// Nor is one whose patches differ by more than this, mean grey levels.
     pub max_residual: f32,
+    /// Only patches of one surface are followed: depths 10 px around the keypoint differ from its
+    /// own by no more than this share. Across an edge the two sides move differently.
+    pub surface_ratio: f64,
 }
 
 impl Default for RefineConfig {
@@ -162,6 +165,7 @@ impl Default for RefineConfig {
             sigma_px: 0.7,
             max_shift_px: 3.0,
             max_residual: 20.0,
+            surface_ratio: 0.05,
         }
     }
 }

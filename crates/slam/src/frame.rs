@@ -28,6 +28,8 @@ pub struct Frame {
     pub uv_px: Vec<Vector2<f64>>,
     /// Metres along z; `None` where the sensor gave none or the point sits on a depth edge.
     pub depth_m: Vec<Option<f64>>,
+    /// The patch around the keypoint shows one surface: depths 10 px around it are near its own.
+    pub one_surface: Vec<bool>,
     /// Keypoints on moving things take part in nothing.
     pub label: Vec<Label>,
     /// The landmark behind each keypoint.
@@ -66,6 +68,8 @@ impl Frame {
             .iter()
             .map(|p| depth_at(depth, p, &config.features))
             .collect();
+        let ratio = config.refine.surface_ratio;
+        let one_surface = px.iter().map(|p| one_surface(depth, p, ratio)).collect();
         let label: Vec<_> = px
             .iter()
             .map(|p| mask.map_or(Label::Static, |m| label_at(m, p, config.labels.dilate_px)))
@@ -82,6 +86,7 @@ impl Frame {
             sigma_px,
             uv_px,
             depth_m,
+            one_surface,
             label,
             grid,
         }
@@ -219,6 +224,25 @@ fn depth_at(depth: &DepthImage, px: &Vector2<f64>, config: &FeatureConfig) -> Op
     (spread <= config.edge_ratio * f64::from(center)).then(|| f64::from(center))
 }
 
+/// Do all valid depths on a 5x5 lattice over the 21x21 pixels around a place lie within `ratio` of
+/// the depth at the place itself?
+fn one_surface(depth: &DepthImage, px: &Vector2<f64>, ratio: f64) -> bool {
+    const OFFSETS: [isize; 5] = [-10, -5, 0, 5, 10];
+    let Some((x, y)) = nearest_pixel(px, depth.size()) else {
+        return false;
+    };
+    let center = f64::from(depth[(x, y)]);
+    let near = |d: &f32| *d <= 0.0 || (f64::from(*d) - center).abs() <= ratio * center;
+    center > 0.0
+        && OFFSETS.iter().all(|dy| {
+            OFFSETS.iter().all(|dx| {
+                let at = (x.checked_add_signed(*dx), y.checked_add_signed(*dy));
+                let (Some(x), Some(y)) = at else { return true };
+                depth.get(x, y).is_none_or(near)
+            })
+        })
+}
+
 /// Dynamic if any pixel of the square of `radius` around the keypoint moves (255).
 fn label_at(mask: &MaskImage, px: &Vector2<f64>, radius: usize) -> Label {
     let Some((x, y)) = nearest_pixel(px, mask.size()) else {
@@ -321,6 +345,7 @@ fn cell_of(coordinate: f64, last: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use garad_core::Real;
 
     fn keypoint(x: f32, y: f32, level: u8) -> Keypoint {
         Keypoint {
@@ -358,8 +383,8 @@ mod tests {
         let points: Vec<_> = (0..300)
             .map(|_| {
                 (
-                    to_f32(rng.range(0.0, 63.0)),
-                    to_f32(rng.range(0.0, 47.0)),
+                    rng.range(0.0, 63.0).to_f32(),
+                    rng.range(0.0, 47.0).to_f32(),
                     u8::try_from(rng.below(4)).expect("below 4"),
                 )
             })
@@ -371,10 +396,8 @@ mod tests {
             found.sort_unstable();
             let expected: Vec<_> = (0..points.len())
                 .filter(|&i| {
-                    let (x, y, level) = points[i];
-                    (1..=2).contains(&level)
-                        && (f64::from(x) - uv.x).abs() < 7.0
-                        && (f64::from(y) - uv.y).abs() < 7.0
+                    let d = frame.uv_px[i] - uv;
+                    (1..=2).contains(&points[i].2) && d.x.abs() < 7.0 && d.y.abs() < 7.0
                 })
                 .collect();
             assert_eq!(found, expected, "around {uv}");

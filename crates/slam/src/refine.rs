@@ -67,7 +67,8 @@ impl Slam {
             let oldest = landmark
                 .observations
                 .iter()
-                .find(|(k, _)| self.pyramids.contains_key(k));
+                .find(|(k, _)| self.pyramids.contains_key(k))
+                .filter(|(k, j)| self.map.keyframe(*k).one_surface[*j]);
             let predicted = self
                 .camera
                 .project(&(frame.camera_from_world * landmark.p_world));
