@@ -5,7 +5,7 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use garad_core::{GrayImage, Par, Rng};
+use garad_core::{GrayImage, Par, Real, Rng};
 use garad_features::{LkConfig, LkPyramid, lk};
 
 /// Smoothed noise, moved by (`dx`, `dy`) pixels.
@@ -38,7 +38,7 @@ fn lucas_kanade(criterion: &mut Criterion) {
     let prev = LkPyramid::new(&first, 3).expect("not empty");
     let next = LkPyramid::new(&second, 3).expect("not empty");
     let mut rng = Rng::new(3);
-    let mut point = || [rng.range(15.0, 625.0) as f32, rng.range(15.0, 465.0) as f32];
+    let mut point = || [rng.range(15.0, 625.0), rng.range(15.0, 465.0)].map(Real::to_f32);
     let points: Vec<[f32; 2]> = (0..1000).map(|_| point()).collect();
     let config = LkConfig::default();
     for par in [Par::Seq, Par::Threads(2)] {

@@ -267,7 +267,7 @@ impl Default for SeedConfig {
         Self {
             enabled: true,
             stride_px: 4,
-            footprint: 0.5,
+            footprint: 0.6,
             opacity: 0.9,
             explained_opacity: 0.6,
             depth_ratio: 0.05,
