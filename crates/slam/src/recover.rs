@@ -1,4 +1,4 @@
-//! A lost camera found again: the frame against each keyframe, youngest first.
+//! A lost camera found again: the frame against keyframes, the youngest first.
 //!
 //! Descriptors give pairs (landmark in the world, keypoint with depth in the camera); three pairs
 //! give a rigid motion in closed form; a seeded RANSAC keeps the motion most pairs agree with, and
@@ -9,6 +9,11 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::frame::Frame;
 use crate::system::Slam;
+
+/// Keyframes tried for each frame: the youngest, and a window that moves on through all the others
+/// from frame to frame, so that a large map costs no more than a small one.
+const YOUNGEST: usize = 10;
+const WINDOW: usize = 20;
 
 /// Draws of three pairs: with half the pairs wrong, 100 draws miss all good triples once in 6e5.
 const DRAWS: usize = 100;
@@ -51,13 +56,26 @@ pub fn rigid_from_pairs(pairs: &[(Vector3<f64>, Vector3<f64>)]) -> Option<Se3> {
     Some(Se3::new(rotation, mean_a - rotation * mean_b))
 }
 
+/// Which of `n` keyframes to try at a frame, in order.
+fn candidates(n: usize, frame: usize) -> Vec<usize> {
+    let youngest = (n.saturating_sub(YOUNGEST)..n).rev();
+    let others = n.saturating_sub(YOUNGEST);
+    let window = (0..others.min(WINDOW)).map(|i| (frame * WINDOW + i) % others);
+    youngest.chain(window).collect()
+}
+
 impl Slam {
     /// Looks for the frame among the keyframes; true when enough of one's landmarks agree.
     pub(crate) fn recover(&self, frame: &mut Frame) -> bool {
         let needed = self.config.tracking.reference_min_matches;
-        for keyframe in self.map.keyframes().iter().rev() {
+        let keyframes = self.map.keyframes();
+        for k in candidates(keyframes.len(), frame.id.index()) {
             frame.landmark.fill(None);
-            if self.matcher().from_keyframe(&self.map, keyframe, frame) < needed {
+            if self
+                .matcher()
+                .from_keyframe(&self.map, &keyframes[k], frame)
+                < needed
+            {
                 continue;
             }
             let Some(pose) = self.ransac(frame, needed) else {
@@ -118,6 +136,29 @@ impl Slam {
 mod tests {
     use super::*;
     use nalgebra::Vector6;
+
+    #[test]
+    fn every_keyframe_gets_its_turn() {
+        assert_eq!(
+            candidates(3, 7),
+            [2, 1, 0],
+            "few: all of them, youngest first"
+        );
+        assert!(candidates(0, 7).is_empty(), "none");
+        let mut tried: Vec<_> = (5..10).flat_map(|frame| candidates(100, frame)).collect();
+        tried.sort_unstable();
+        tried.dedup();
+        assert_eq!(
+            tried,
+            (0..100).collect::<Vec<_>>(),
+            "five frames go through a hundred"
+        );
+        assert_eq!(
+            candidates(100, 5).len(),
+            YOUNGEST + WINDOW,
+            "a frame tries no more"
+        );
+    }
 
     #[test]
     fn closed_form_gives_the_motion_back() {

@@ -2,9 +2,9 @@
 //!
 //! | step | input | output |
 //! |---|---|---|
-//! | [`Slam::track_motion`] | constant velocity, the last frame's landmarks | first pose |
-//! | [`Slam::track_reference`] | the reference keyframe's descriptors, if that failed | first pose |
-//! | [`Slam::track_local_map`] | everything the neighbourhood's keyframes see | final pose |
+//! | `track_motion` | constant velocity, the last frame's landmarks | first pose |
+//! | `track_reference` | the reference keyframe's descriptors, if that failed | first pose |
+//! | `track_local_map` | everything the neighbourhood's keyframes see | final pose |
 
 use garad_core::{DepthImage, Label, LandmarkId, Se3};
 use garad_features::LkPyramid;
@@ -86,8 +86,9 @@ impl Slam {
     /// over all of them, sharpens the links ([`Slam::refine`], given the frame's pyramid) and
     /// optimises again. Returns the number of inliers.
     ///
-    /// The local map is what these keyframes see: those that observe the frame's landmarks, and
-    /// the ten most covisible of each, up to `max_local_keyframes`.
+    /// The local map is what these keyframes see: those that observe the frame's landmarks, and for
+    /// each of them its most covisible neighbour not yet among them (of ten), up to
+    /// `max_local_keyframes`.
     pub(crate) fn track_local_map(
         &mut self,
         frame: &mut Frame,
