@@ -78,6 +78,46 @@ pub fn basis<T: Real>(degree: usize, [x, y, z]: [T; 3]) -> [T; MAX_COEFFICIENTS]
     b
 }
 
+/// ∂[`basis`]ₖ/∂(x, y, z), of the polynomials as they are written there.
+///
+/// Only the part across `direction` means anything: along it the polynomials leave the unit
+/// sphere, and a caller who normalises a vector first projects that part out.
+///
+/// Spec test: `gradient_is_the_slope_of_the_basis`.
+#[must_use]
+#[rustfmt::skip]
+pub fn basis_gradient<T: Real>(degree: usize, [x, y, z]: [T; 3]) -> [[T; 3]; MAX_COEFFICIENTS] {
+    let c = T::from_f64;
+    let o = T::ZERO;
+    let scaled = |k: f64, v: [T; 3]| v.map(|v| c(k) * v);
+    let mut g = [[o; 3]; MAX_COEFFICIENTS];
+    if degree >= 1 {
+        g[1] = [o, -c(C1), o];
+        g[2] = [o, o, c(C1)];
+        g[3] = [-c(C1), o, o];
+    }
+    let (xx, yy, zz) = (x * x, y * y, z * z);
+    let (xy, xz, yz) = (x * y, x * z, y * z);
+    if degree >= 2 {
+        g[4] = scaled(C2[0], [y, x, o]);
+        g[5] = scaled(C2[1], [o, z, y]);
+        g[6] = scaled(C2[2], [-c(2.0) * x, -c(2.0) * y, c(4.0) * z]);
+        g[7] = scaled(C2[3], [z, o, x]);
+        g[8] = scaled(C2[4], [c(2.0) * x, -c(2.0) * y, o]);
+    }
+    if degree >= 3 {
+        let (three, six, eight) = (c(3.0), c(6.0), c(8.0));
+        g[9] = scaled(C3[0], [six * xy, three * (xx - yy), o]);
+        g[10] = scaled(C3[1], [yz, xz, xy]);
+        g[11] = scaled(C3[2], [-c(2.0) * xy, c(4.0) * zz - xx - three * yy, eight * yz]);
+        g[12] = scaled(C3[3], [-six * xz, -six * yz, six * zz - three * (xx + yy)]);
+        g[13] = scaled(C3[4], [c(4.0) * zz - three * xx - yy, -c(2.0) * xy, eight * xz]);
+        g[14] = scaled(C3[5], [c(2.0) * xz, -c(2.0) * yz, xx - yy]);
+        g[15] = scaled(C3[6], [three * (xx - yy), -six * xy, o]);
+    }
+    g
+}
+
 /// Colour seen from a direction: max(0, ½ + Σₖ basisₖ · shₖ) per channel (design section 9).
 ///
 /// `sh` holds `coefficients(degree)` triples (r, g, b), constant term first; `direction` points
@@ -134,6 +174,36 @@ mod tests {
                     "({m}, {n}): {}",
                     gram[m][n]
                 );
+            }
+        }
+    }
+
+    /// Polynomials of degree 3: a five-point difference is exact but for rounding.
+    #[test]
+    fn gradient_is_the_slope_of_the_basis() {
+        let d = [0.36f64, -0.48, 0.8];
+        let h = 0.01;
+        for degree in 0..=3 {
+            let gradient = basis_gradient(degree, d);
+            for axis in 0..3 {
+                let at = |shift: f64| {
+                    let mut moved = d;
+                    moved[axis] += shift;
+                    basis(degree, moved)
+                };
+                let (near, far) = ([at(h), at(-h)], [at(2.0 * h), at(-2.0 * h)]);
+                for k in 0..MAX_COEFFICIENTS {
+                    let slope =
+                        (8.0 * (near[0][k] - near[1][k]) - (far[0][k] - far[1][k])) / (12.0 * h);
+                    assert!(
+                        (gradient[k][axis] - slope).abs() < 1e-12,
+                        "degree {degree}, basis {k}, axis {axis}"
+                    );
+                    assert!(
+                        k < coefficients(degree) || gradient[k].iter().all(|v| v.abs() < 1e-300),
+                        "beyond {degree}"
+                    );
+                }
             }
         }
     }
