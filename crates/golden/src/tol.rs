@@ -102,6 +102,20 @@ pub const TABLE: &[Tolerance] = &[
     vector("raster.f32.depth_m", 0.0, 1.1e-6, "8 x 1.3e-7"),
     vector("raster.f32.conic", 0.0, 4.6e-6, "8 x 5.7e-7"),
     Tolerance { name: "raster.f32.flips", class: Class::Banded { tight: 1e-4, share: 2e-2, hard: 1e-2 }, reason: "a splat that crosses 1/255 moves a channel by up to 1/255 and what lies behind it" },
+    // raster_backward, in f64
+    vector("raster_backward.gradient", 0.0, 4e-14, "measured 1.3e-14: sums over pixels of the forward's roundings, which cancel"),
+    // raster_backward, in f32: 8 times what a rewrite of the formulas in f32 was measured to lose
+    vector("raster_backward.f32.d_means", 0.0, 7.4e-5, "8 x 9.2e-6"),
+    vector("raster_backward.f32.d_log_scales", 0.0, 5.0e-5, "8 x 6.2e-6"),
+    vector("raster_backward.f32.d_quaternions", 0.0, 6.0e-5, "8 x 7.5e-6"),
+    vector("raster_backward.f32.d_opacity_logits", 0.0, 5.7e-5, "8 x 7.1e-6"),
+    vector("raster_backward.f32.d_sh", 0.0, 6.5e-5, "8 x 8.1e-6"),
+    vector("raster_backward.f32.d_pose", 0.0, 1.6e-4, "8 x 2.0e-5"),
+    vector("raster_backward.f32.d_means2d", 0.0, 6.6e-5, "8 x 8.3e-6"),
+    vector("raster_backward.f32.d_conics", 0.0, 6.7e-5, "8 x 8.4e-6"),
+    vector("raster_backward.f32.d_opacities", 0.0, 5.7e-5, "as the logits"),
+    vector("raster_backward.f32.d_colors", 0.0, 6.5e-5, "as the coefficients"),
+    vector("raster_backward.f32.d_depths", 0.0, 6.5e-5, "as the colours: a sum of the same weights"),
     // lk: positions in f32 from sums of integers
     abs_rel("lk.xy", 1e-4, 0.0, "an ulp of a coordinate is 3e-5 px; steps end at 1e-2 px in the same order of operations"),
     Tolerance { name: "lk.xy_opencv", class: Class::Banded { tight: 5e-4, share: 1e-2, hard: 1e-2 }, reason: "OpenCV adds its sums in f32 and lane by lane; a step of 0.01 px more or less" },

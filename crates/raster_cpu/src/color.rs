@@ -11,12 +11,65 @@ pub(crate) fn color<T: Real>(map: &GaussianMap<T>, i: usize, center: [T; 3]) -> 
     if !coefficients.iter().flatten().all(|v| v.is_finite()) {
         return None;
     }
-    let mean = map.means[i];
-    let [x, y, z] = [0, 1, 2].map(|k| mean[k] - center[k]);
-    let norm = (x * x + y * y + z * z).sqrt();
-    let direction = [x / norm, y / norm, z / norm];
+    let (direction, _) = direction(map.means[i], center);
     let rgb = sh::color(map.sh_degree(), coefficients, direction);
     rgb.iter().all(|v| v.is_finite()).then_some(rgb)
+}
+
+/// d and the distance |mean - c|, metres.
+fn direction<T: Real>(mean: [T; 3], center: [T; 3]) -> ([T; 3], T) {
+    let [x, y, z] = [0, 1, 2].map(|k| mean[k] - center[k]);
+    let norm = (x * x + y * y + z * z).sqrt();
+    ([x / norm, y / norm, z / norm], norm)
+}
+
+// Cached between the two: the clamped colour, which says by being 0 that the clamp was active.
+
+/// What [`color`] passes back.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ColorGradient<T> {
+    /// ∂L/∂fₖ, zero beyond the map's degree.
+    pub(crate) sh: [[T; 3]; sh::MAX_COEFFICIENTS],
+    /// ∂L/∂(mean - c) in the world, 1/m; across d.
+    pub(crate) offset: [T; 3],
+}
+
+/// The way back through [`color`], from ∂L/∂color (R19):
+///
+/// ∂L/∂fₖ = Yₖ(d) g,   ∂L/∂(mean - c) = (1 - d dᵀ) Σₖ (fₖ·g) ∇Yₖ(d) / |mean - c|
+///
+/// g = ∂L/∂color, with 0 in the channels that are clamped.
+pub(crate) fn color_backward<T: Real>(
+    map: &GaussianMap<T>,
+    i: usize,
+    center: [T; 3],
+    color: [T; 3],
+    d_color: [T; 3],
+) -> ColorGradient<T> {
+    let g = [0, 1, 2].map(|k| {
+        if color[k] > T::ZERO {
+            d_color[k]
+        } else {
+            T::ZERO
+        }
+    });
+    let (direction, norm) = direction(map.means[i], center);
+    let basis = sh::basis(map.sh_degree(), direction);
+    let slopes = sh::basis_gradient(map.sh_degree(), direction);
+    let mut d_direction = [T::ZERO; 3];
+    for (coefficient, slope) in map.sh_of(i).iter().zip(&slopes) {
+        let pull = coefficient[0] * g[0] + coefficient[1] * g[1] + coefficient[2] * g[2];
+        for axis in 0..3 {
+            d_direction[axis] += pull * slope[axis];
+        }
+    }
+    let along = direction[0] * d_direction[0]
+        + direction[1] * d_direction[1]
+        + direction[2] * d_direction[2];
+    ColorGradient {
+        sh: basis.map(|b| g.map(|g| b * g)),
+        offset: [0, 1, 2].map(|k| (d_direction[k] - along * direction[k]) / norm),
+    }
 }
 
 #[cfg(test)]

@@ -1,7 +1,9 @@
-//! One tile: splats blended front to back into its pixels (R9 to R12).
+//! One tile: splats blended front to back into its pixels (R9 to R12), and what the pixels ask of
+//! them, back to front (R13, R14).
 
 use garad_core::Real;
 
+use crate::backward::ClampGradient;
 use crate::project::{PixelRect, Projected, to_index};
 
 /// A splat thinner than this at a pixel is left out there (R10): it would move an 8-bit channel
@@ -124,9 +126,213 @@ pub(crate) fn composite_tile<T: Real>(
 fn alpha<T: Real>(splat: &Projected<T>, xs: &[T], dy: T, out: &mut [T]) {
     let max_alpha = T::from_f64(MAX_ALPHA);
     for (&x, alpha) in xs.iter().zip(out) {
-        let power = power(splat, x - splat.mean_px[0], dy);
-        *alpha = max_alpha.min(splat.opacity * power.exp_nonpositive());
+        *alpha = max_alpha.min(density(splat, x - splat.mean_px[0], dy));
     }
+}
+
+/// opacity e^power: alpha before it is clamped (R9).
+#[inline]
+fn density<T: Real>(splat: &Projected<T>, dx: T, dy: T) -> T {
+    splat.opacity * power(splat, dx, dy).exp_nonpositive()
+}
+
+// Cached between the two, per pixel: the transmittance at the end and the rank of the last splat.
+// Alphas are computed again by the same expression, so that both ways skip the same splats.
+
+/// One pixel on the way back.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct PixelBackward<T> {
+    /// ∂L/∂color.
+    pub(crate) d_color: [T; 3],
+    /// ∂L/∂depth, 1/m.
+    pub(crate) d_depth: T,
+    /// T behind the splat that comes next on the way back; first what was left at the end.
+    pub(crate) transmittance: T,
+    /// What a ray that has come as far as there brings to L per unit of its light; first ∂L/∂T.
+    pub(crate) behind: T,
+    /// Rank of the last splat blended.
+    pub(crate) last: u32,
+}
+
+/// Sums over pixels of one splat, from which all its gradients follow linearly. With
+/// g = ∂L/∂power, r = dx + (b/a) dy and dy the distance from the centre as in [`power`]:
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct SplatSums<T> {
+    /// Σ g.
+    g: T,
+    /// Σ g r.
+    r: T,
+    /// Σ g dy.
+    y: T,
+    /// Σ g r².
+    rr: T,
+    /// Σ g r dy.
+    ry: T,
+    /// Σ g dy².
+    yy: T,
+    /// Σ w ∂L/∂(pixel's color).
+    color: [T; 3],
+    /// Σ w ∂L/∂(pixel's depth).
+    depth: T,
+}
+
+impl<T: Real> SplatSums<T> {
+    /// No pixel yet.
+    pub(crate) const fn new() -> Self {
+        Self {
+            g: T::ZERO,
+            r: T::ZERO,
+            y: T::ZERO,
+            rr: T::ZERO,
+            ry: T::ZERO,
+            yy: T::ZERO,
+            color: [T::ZERO; 3],
+            depth: T::ZERO,
+        }
+    }
+
+    /// Adds another tile's.
+    pub(crate) fn add(&mut self, other: &Self) {
+        self.g += other.g;
+        self.r += other.r;
+        self.y += other.y;
+        self.rr += other.rr;
+        self.ry += other.ry;
+        self.yy += other.yy;
+        for (sum, part) in self.color.iter_mut().zip(other.color) {
+            *sum += part;
+        }
+        self.depth += other.depth;
+    }
+}
+
+/// ∂L/∂ of what [`composite_tile`] reads of a splat.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct SplatGradient<T> {
+    /// px⁻¹.
+    pub(crate) mean_px: [T; 2],
+    /// By (a, b, c), px²; b stands for both entries off the diagonal.
+    pub(crate) conic: [T; 3],
+    /// By (Σ'xx, Σ'xy, Σ'yy), px⁻²; Σ'xy stands for both. The same derivative as `conic`, by the
+    /// inverse matrix.
+    pub(crate) covariance: [T; 3],
+    pub(crate) opacity: T,
+    pub(crate) color: [T; 3],
+    /// m⁻¹.
+    pub(crate) depth_m: T,
+}
+
+impl<T: Real> SplatGradient<T> {
+    /// Gradients from the sums (R14), with v = Σ'⁻¹ d = (a r, (b/a) a r + dy/Σ'yy):
+    ///
+    /// by the mean Σ g v;  by Σ' ½ Σ g v vᵀ;  by the conic -½ Σ g d dᵀ;  by the opacity Σ g/opacity
+    ///
+    /// The form by Σ' needs no inverse of anything: going from the conic to Σ' would take
+    /// differences that cancel on needles.
+    pub(crate) fn new(splat: &Projected<T>, sums: &SplatSums<T>) -> Self {
+        let (half, two) = (T::from_f64(0.5), T::from_f64(2.0));
+        let (a, shear, inv) = (splat.conic[0], splat.shear, splat.inv_var_y);
+        let up = shear * a; // v_y = up r + inv dy
+        Self {
+            mean_px: [a * sums.r, up * sums.r + inv * sums.y],
+            conic: [
+                -half * (sums.rr - two * shear * sums.ry + shear * shear * sums.yy),
+                shear * sums.yy - sums.ry,
+                -half * sums.yy,
+            ],
+            covariance: [
+                half * a * a * sums.rr,
+                a * (up * sums.rr + inv * sums.ry),
+                half * (up * up * sums.rr + two * up * inv * sums.ry + inv * inv * sums.yy),
+            ],
+            // A splat of opacity 0 has met no pixel.
+            opacity: if splat.opacity > T::ZERO {
+                sums.g / splat.opacity
+            } else {
+                T::ZERO
+            },
+            color: sums.color,
+            depth_m: sums.depth,
+        }
+    }
+}
+
+/// The way back through [`composite_tile`]: for each entry of the tile's list, its sums over the
+/// tile's pixels.
+///
+/// eᵢ = ∂L/∂color · cᵢ + ∂L/∂depth zᵢ: what a unit of weight on splat i brings           (R13)
+/// Bᵢ = what stands behind splat i brings per unit of light that reaches it
+///
+/// ∂L/∂alphaᵢ = Tᵢ (eᵢ - Bᵢ),  Bᵢ₋₁ = alphaᵢ eᵢ + (1 - alphaᵢ) Bᵢ,  Tᵢ = Tᵢ₊₁/(1 - alphaᵢ)
+/// ∂L/∂powerᵢ = opacity e^power ∂L/∂alphaᵢ, and 0 where alpha is clamped                    (R14)
+///
+/// `pixels` is used up.
+pub(crate) fn composite_tile_backward<T: Real>(
+    splats: &[Projected<T>],
+    list: &[u32],
+    rect: &PixelRect,
+    pixels: &mut [PixelBackward<T>],
+    clamp: ClampGradient,
+) -> Vec<SplatSums<T>> {
+    let width = rect.x1 - rect.x0;
+    let columns: Vec<T> = (rect.x0..rect.x1).map(coordinate).collect();
+    let [min_alpha, max_alpha] = [MIN_ALPHA, MAX_ALPHA].map(T::from_f64);
+    let deepest = pixels.iter().map(|p| p.last).max().unwrap_or(0);
+    let mut sums_of = vec![SplatSums::new(); list.len()];
+
+    for entry in (0..list.len().min(deepest as usize)).rev() {
+        let splat = &splats[list[entry] as usize];
+        let Some(reach) = Reach::new(splat, rect) else {
+            continue;
+        };
+        let mut sums = SplatSums::new();
+        for y in reach.rows() {
+            let dy = coordinate::<T>(y) - splat.mean_px[1];
+            let (first, end) = reach.columns(splat, dy);
+            if first >= end {
+                continue;
+            }
+            let part = first - rect.x0..end - rect.x0;
+            let row = &mut pixels[(y - rect.y0) * width..][part.clone()];
+            for (pixel, &x) in row.iter_mut().zip(&columns[part]) {
+                if entry >= pixel.last as usize {
+                    continue;
+                }
+                let dx = x - splat.mean_px[0];
+                let density = density(splat, dx, dy);
+                let alpha = max_alpha.min(density);
+                if alpha < min_alpha {
+                    continue;
+                }
+                let through = T::ONE - alpha;
+                let reached = pixel.transmittance / through;
+                let weight = alpha * reached;
+                let mut own = pixel.d_depth * splat.depth_m;
+                for channel in 0..3 {
+                    own += pixel.d_color[channel] * splat.color[channel];
+                    sums.color[channel] += weight * pixel.d_color[channel];
+                }
+                sums.depth += weight * pixel.d_depth;
+                let d_alpha = reached * (own - pixel.behind);
+                pixel.behind = alpha * own + through * pixel.behind;
+                pixel.transmittance = reached;
+                if density > max_alpha && clamp == ClampGradient::True {
+                    continue;
+                }
+                let g = density * d_alpha;
+                let r = dx + splat.shear * dy;
+                let (gr, gy) = (g * r, g * dy);
+                sums.g += g;
+                sums.r += gr;
+                sums.y += gy;
+                sums.rr += gr * r;
+                sums.ry += gr * dy;
+                sums.yy += gy * dy;
+            }
+        }
+        sums_of[entry] = sums;
+    }
+    sums_of
 }
 
 /// An index as a coordinate; exact below [`crate::MAX_SIDE_PX`].
@@ -231,6 +437,88 @@ mod tests {
         assert_eq!((at.contributors, at.last), (2, 2), "both");
         // Three pixels aside e^-4.5 = 0.0111: red 0.0056 and green 0.0089 both pass 1/255.
         assert_eq!(pixels[6 + 5].contributors, 2, "at three sigma");
+    }
+
+    /// L = red of the pixel both splats are centred on: ½ c₁ + ½ · 0.8 c₂ + ½ · 0.2 background.
+    #[test]
+    fn two_splats_on_the_way_back_by_hand() {
+        let splats = [
+            splat(0.5, [0.9, 0.0, 0.0], 1.0),
+            splat(0.8, [0.3, 0.0, 0.0], 2.0),
+        ];
+        let background = 0.7;
+        let mut pixels = [PixelBackward {
+            d_color: [0.0; 3],
+            d_depth: 0.0,
+            transmittance: 1.0,
+            behind: 0.0,
+            last: 0,
+        }; 18];
+        pixels[6 + 2] = PixelBackward {
+            d_color: [1.0, 0.0, 0.0],
+            d_depth: 10.0,
+            transmittance: 0.1,
+            behind: background,
+            last: 2,
+        };
+        let both =
+            composite_tile_backward(&splats, &[0, 1], &TILE, &mut pixels, ClampGradient::True);
+        let [near, far] = [0, 1].map(|k| SplatGradient::new(&splats[k], &both[k]));
+        // A unit of weight brings red + 10 z: 10.9 and 20.3.
+        let behind_near = 0.8 * 20.3 + 0.2 * background;
+        assert!(
+            (near.opacity - (10.9 - behind_near)).abs() < 1e-13,
+            "{near:?}"
+        );
+        assert!(
+            (far.opacity - 0.5 * (20.3 - background)).abs() < 1e-13,
+            "{far:?}"
+        );
+        assert!(
+            (near.color[0] - 0.5).abs() < 1e-15 && (far.color[0] - 0.4).abs() < 1e-15,
+            "weights"
+        );
+        assert!(
+            (near.depth_m - 5.0).abs() < 1e-14 && (far.depth_m - 4.0).abs() < 1e-14,
+            "weights"
+        );
+        assert!(
+            near.mean_px.iter().all(|v| v.abs() < 1e-15),
+            "on its summit"
+        );
+        assert!(
+            (pixels[6 + 2].transmittance - 1.0).abs() < 1e-15,
+            "nothing stands before"
+        );
+    }
+
+    /// The derivative by Σ' and that by its inverse are one: G = -Σ' G' Σ'.
+    #[test]
+    fn conic_and_covariance_agree() {
+        let (xx, xy, yy) = (9.0, -4.0, 5.0);
+        let det: f64 = xx * yy - xy * xy;
+        let turned = Projected {
+            conic: [yy / det, -xy / det, xx / det],
+            shear: -xy / yy,
+            inv_var_y: 1.0 / yy,
+            ..splat(0.8, [1.0; 3], 1.0)
+        };
+        let sums = SplatSums {
+            g: 1.0,
+            r: 0.3,
+            y: -0.2,
+            rr: 2.0,
+            ry: 0.7,
+            yy: 3.0,
+            color: [0.0; 3],
+            depth: 0.0,
+        };
+        let d = SplatGradient::new(&turned, &sums);
+        // Entries off the diagonal hold half of the derivative each.
+        let s = nalgebra::Matrix2::new(xx, xy, xy, yy);
+        let half = |[a, b, c]: [f64; 3]| nalgebra::Matrix2::new(a, b / 2.0, b / 2.0, c);
+        let difference = half(d.conic) + s * half(d.covariance) * s;
+        assert!(difference.norm() < 1e-13, "{difference}");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! The covariance of a Gaussian, from its own axes to the picture (R2 to R5).
+//! The covariance of a Gaussian, from its own axes to the picture and back (R2 to R5, R15 to R18).
 //!
 //! Nothing here forms Σ in the world: with M = J W R S, a 2x3 matrix whose columns are the
 //! Gaussian's three half-axes as the picture sees them, the projected covariance is M Mᵀ, and
@@ -6,6 +6,7 @@
 
 use garad_core::Real;
 
+use crate::backward::ClampGradient;
 use crate::view::View;
 
 /// Added to both diagonal entries of the projected covariance, px²: no splat is sharper than
@@ -43,6 +44,32 @@ pub(crate) fn rotation<T: Real>([w, x, y, z]: [T; 4]) -> Option<[[T; 3]; 3]> {
     ])
 }
 
+// Cached between the two: nothing; the quaternion is all there is.
+
+/// The way back through [`rotation`], from G = ∂L/∂R to the quaternion as stored (R18):
+///
+/// ∂L/∂q = (1 - q̂ q̂ᵀ) Σᵢⱼ Gᵢⱼ ∂Rᵢⱼ/∂q̂ / |q|
+///
+/// Orthogonal to q: the length of q changes nothing.
+pub(crate) fn rotation_backward<T: Real>(quaternion: [T; 4], g: &[[T; 3]; 3]) -> [T; 4] {
+    let [w, x, y, z] = quaternion;
+    let norm = (w * w + x * x + y * y + z * z).sqrt();
+    let unit = quaternion.map(|v| v / norm);
+    let [w, x, y, z] = unit;
+    let two = T::from_f64(2.0);
+    // ∂R/∂w is antisymmetric; the others are symmetric but for one term with w.
+    let (a_x, a_y, a_z) = (g[2][1] - g[1][2], g[0][2] - g[2][0], g[1][0] - g[0][1]);
+    let (s_yz, s_xz, s_xy) = (g[1][2] + g[2][1], g[0][2] + g[2][0], g[0][1] + g[1][0]);
+    let free = [
+        two * (x * a_x + y * a_y + z * a_z),
+        two * (w * a_x + y * s_xy + z * s_xz - two * x * (g[1][1] + g[2][2])),
+        two * (w * a_y + x * s_xy + z * s_yz - two * y * (g[0][0] + g[2][2])),
+        two * (w * a_z + x * s_xz + y * s_yz - two * z * (g[0][0] + g[1][1])),
+    ];
+    let radial = free[0] * w + free[1] * x + free[2] * y + free[3] * z;
+    [0, 1, 2, 3].map(|k| (free[k] - radial * unit[k]) / norm)
+}
+
 /// J W: the derivative of the pixel by the world point, rows (∂u, ∂v), px/m (R3).
 ///
 /// ∂u/∂p = fx/z (r₀ - s_x r₂),  ∂v/∂p = fy/z (r₁ - s_y r₂),  s = clamp(x/z, y/z)
@@ -52,11 +79,76 @@ pub(crate) fn pixel_from_world<T: Real>(view: &View<T>, p_cam: [T; 3]) -> [[T; 3
     let [x, y, z] = p_cam;
     let r = &view.rotation;
     let row = |axis: usize, slope: T| {
-        let limit = view.slope_limit[axis];
-        let slope = slope.max(-limit).min(limit);
+        let (slope, _) = clamped(slope, view.slope_limit[axis]);
         [0, 1, 2].map(|j| view.focal_px[axis] / z * (r[axis][j] - slope * r[2][j]))
     };
     [row(0, x / z), row(1, y / z)]
+}
+
+/// A slope cut to ± `limit`, and whether that changed it.
+fn clamped<T: Real>(slope: T, limit: T) -> (T, bool) {
+    (slope.max(-limit).min(limit), slope.abs() > limit)
+}
+
+// Cached between the two: J W itself.
+
+/// What [`pixel_from_world`] passes back.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct PixelFromWorldGradient<T> {
+    /// ∂L/∂(point in the camera), 1/m.
+    pub(crate) p_cam: [T; 3],
+    /// ∂L/∂φ for W ← exp(φ^) W with the point held fixed.
+    pub(crate) turn: [T; 3],
+}
+
+/// The way back through [`pixel_from_world`], from G = ∂L/∂(J W) (R17).
+///
+/// Per row g of G, with a its axis, s its clamped slope and h = W g the row seen from the camera:
+///
+/// z += -(g · (J W)_a)/z;  unless clamped, with ∂L/∂s = -(f_a/z) h_z:  a += ∂L/∂s / z, z -= s ∂L/∂s / z;
+/// φ += h × J_a,  J_a = (f_a/z) (e_a - s e_z)
+pub(crate) fn pixel_from_world_backward<T: Real>(
+    view: &View<T>,
+    p_cam: [T; 3],
+    pixel_from_world: &[[T; 3]; 2],
+    gradient: &[[T; 3]; 2],
+    clamp: ClampGradient,
+) -> PixelFromWorldGradient<T> {
+    let z = p_cam[2];
+    let (mut d_p, mut turn) = ([T::ZERO; 3], [T::ZERO; 3]);
+    for axis in 0..2 {
+        let (slope, is_clamped) = clamped(p_cam[axis] / z, view.slope_limit[axis]);
+        let scale = view.focal_px[axis] / z;
+        let (g, row) = (&gradient[axis], &pixel_from_world[axis]);
+        d_p[2] -= (g[0] * row[0] + g[1] * row[1] + g[2] * row[2]) / z;
+        let h = [0, 1, 2].map(|i| {
+            let r = &view.rotation[i];
+            r[0] * g[0] + r[1] * g[1] + r[2] * g[2]
+        });
+        let d_slope = -scale * h[2];
+        if !is_clamped {
+            d_p[axis] += d_slope / z;
+        }
+        // The CUDA code holds s z, not s, while z moves.
+        if !is_clamped || clamp == ClampGradient::PassThrough {
+            d_p[2] -= slope * d_slope / z;
+        }
+        let mut j = [T::ZERO, T::ZERO, -scale * slope];
+        j[axis] = scale;
+        for (sum, part) in turn.iter_mut().zip(cross(h, j)) {
+            *sum += part;
+        }
+    }
+    PixelFromWorldGradient { p_cam: d_p, turn }
+}
+
+/// a × b.
+pub(crate) fn cross<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
 }
 
 /// M = (J W) R S: column k is the k-th half-axis of the 1-sigma ellipsoid, in pixels (R4).
@@ -71,6 +163,43 @@ pub(crate) fn half_axes<T: Real>(
                 * sigma_m[k]
         })
     })
+}
+
+// Cached between the two: M, J W, R and σ.
+
+/// What [`half_axes`] passes back.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct HalfAxesGradient<T> {
+    /// ∂L/∂(J W).
+    pub(crate) pixel_from_world: [[T; 3]; 2],
+    /// ∂L/∂R.
+    pub(crate) rotation: [[T; 3]; 3],
+    /// ∂L/∂ ln σ.
+    pub(crate) log_scale: [T; 3],
+}
+
+/// The way back through [`half_axes`], from G = ∂L/∂M (R16):
+///
+/// ∂L/∂(J W) = G S Rᵀ,   ∂L/∂R = (J W)ᵀ G S,   ∂L/∂ ln σₖ = m_k · g_k
+pub(crate) fn half_axes_backward<T: Real>(
+    pixel_from_world: &[[T; 3]; 2],
+    rotation: &[[T; 3]; 3],
+    sigma_m: [T; 3],
+    m: &[[T; 3]; 2],
+    g: &[[T; 3]; 2],
+) -> HalfAxesGradient<T> {
+    let gs = g.map(|row| [0, 1, 2].map(|k| row[k] * sigma_m[k]));
+    HalfAxesGradient {
+        pixel_from_world: gs.map(|row| {
+            [0, 1, 2].map(|j| {
+                row[0] * rotation[j][0] + row[1] * rotation[j][1] + row[2] * rotation[j][2]
+            })
+        }),
+        rotation: [0, 1, 2].map(|j| {
+            [0, 1, 2].map(|k| pixel_from_world[0][j] * gs[0][k] + pixel_from_world[1][j] * gs[1][k])
+        }),
+        log_scale: [0, 1, 2].map(|k| m[0][k] * g[0][k] + m[1][k] * g[1][k]),
+    }
 }
 
 /// Σ' = M Mᵀ + 0.3 I with its determinant (R5):
@@ -92,6 +221,21 @@ pub(crate) fn covariance<T: Real>(m: &[[T; 3]; 2]) -> Covariance2<T> {
         yy: vv + blur,
         det: c01 * c01 + c02 * c02 + c12 * c12 + blur * (uu + vv) + blur * blur,
     }
+}
+
+// Cached between the two: M.
+
+/// The way back through [`covariance`], from ∂L/∂(Σ'xx, Σ'xy, Σ'yy) to ∂L/∂M (R15).
+///
+/// Σ'xy stands for both entries off the diagonal. det Σ' is a function of the three and passes
+/// nothing back of its own.
+pub(crate) fn covariance_backward<T: Real>(m: &[[T; 3]; 2], [xx, xy, yy]: [T; 3]) -> [[T; 3]; 2] {
+    let [u, v] = m;
+    let two = T::from_f64(2.0);
+    [
+        [0, 1, 2].map(|k| two * xx * u[k] + xy * v[k]),
+        [0, 1, 2].map(|k| xy * u[k] + two * yy * v[k]),
+    ]
 }
 
 #[cfg(test)]
@@ -157,6 +301,61 @@ mod tests {
             prop_assert!((ours.yy - cov[(1, 1)] - 0.3).abs() < 1e-13 * size, "yy");
             let det = (cov[(0, 0)] + 0.3) * (cov[(1, 1)] + 0.3) - cov[(0, 1)] * cov[(0, 1)];
             prop_assert!((ours.det - det).abs() < 1e-13 * size * size, "det");
+        }
+    }
+
+    /// One axis clamped: only z moves the Jacobian there, and only so far as the option says.
+    #[test]
+    fn clamped_slopes_pass_nothing_sideways() {
+        let camera = Camera::pinhole((8, 8), [4.0, 4.0, 3.5, 3.5]).expect("valid");
+        let view = View::<f64>::new(&camera, &Se3::default());
+        // Limit 1.3 · 8 / (2 · 4) = 1.3; x/z = 2 is beyond, y/z = 0.5 within.
+        let p = [4.0, 1.0, 2.0];
+        let jw = pixel_from_world(&view, p);
+        let ones = [[1.0; 3]; 2];
+        let back = |clamp| pixel_from_world_backward(&view, p, &jw, &ones, clamp).p_cam;
+        // Row u = 2 (1, 0, -1.3), sum -0.6; row v = (4/z) (0, 1, -y/z), sum 4/z - 4 y/z² = 1.
+        let (x, y) = (0.0, -4.0 / 4.0);
+        let z_of_v = -4.0 / 4.0 + 2.0 * 4.0 * 1.0 / 8.0; // -4/z² + 8 y/z³
+        let z_true = -2.0 / 2.0 * (1.0 - 1.3); // f/z (1 - s), s fixed
+        let z_cuda = -4.0 / 4.0 + 2.0 * 4.0 * 2.6 / 8.0; // -4/z² + 8 (s z)/z³, s z fixed
+        for (clamp, z_of_u) in [
+            (ClampGradient::True, z_true),
+            (ClampGradient::PassThrough, z_cuda),
+        ] {
+            let got = back(clamp);
+            for (got, want) in got.iter().zip([x, y, z_of_u + z_of_v]) {
+                assert!(
+                    (got - want).abs() < 1e-14,
+                    "{clamp:?}: {got} against {want}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn gradient_of_a_quaternion_is_across_it() {
+        let q = [0.4f64, -1.1, 0.3, 2.0];
+        let g = [[0.3, -0.8, 0.5], [1.0, 0.2, -0.6], [0.7, 0.1, -0.4]];
+        let d = rotation_backward(q, &g);
+        let radial: f64 = d.iter().zip(q).map(|(d, q)| d * q).sum();
+        assert!(radial.abs() < 1e-15, "{radial:e}");
+        let value = |q: [f64; 4]| -> f64 {
+            let r = rotation(q).expect("not zero");
+            (0..9).map(|k| r[k / 3][k % 3] * g[k / 3][k % 3]).sum()
+        };
+        for k in 0..4 {
+            let at = |h: f64| {
+                let mut moved = q;
+                moved[k] += h;
+                value(moved)
+            };
+            let h = 1e-3;
+            let slope = (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h);
+            assert!(
+                (d[k] - slope).abs() < 1e-11 && d[k].abs() > 1e-3,
+                "component {k}"
+            );
         }
     }
 

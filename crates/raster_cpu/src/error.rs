@@ -3,7 +3,7 @@
 use garad_core::CameraError;
 use thiserror::Error;
 
-/// What is wrong with the input of [`crate::render()`].
+/// What is wrong with the input of [`crate::render()`] or [`crate::backward()`].
 ///
 /// A single Gaussian with a bad number is no error: it is invisible (see [`crate::Projected`]).
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -49,5 +49,24 @@ pub enum RasterError {
         expected: usize,
         /// Rows it has.
         got: usize,
+    },
+    /// A picture that is not of the camera's size.
+    #[error(
+        "{picture} is {} x {} px; expected {} x {}",
+        got.0, got.1, expected.0, expected.1
+    )]
+    SizeMismatch {
+        /// Which picture.
+        picture: &'static str,
+        /// The size it should have, (columns, rows).
+        expected: (usize, usize),
+        /// The size it has.
+        got: (usize, usize),
+    },
+    /// A picture that this map cannot have been drawn into.
+    #[error("splat {splat} of the picture was not drawn from this map by this camera")]
+    NotThisMap {
+        /// Its place in [`crate::Rendered::projected`].
+        splat: usize,
     },
 }

@@ -3,9 +3,13 @@
 //! ```text
 //! GaussianMap ─ project ─→ Projected ─ sort, Tiles ─→ list per tile ─ composite ─→ Rendered
 //!   + View      R1 to R7    per splat    bin, R8       of positions    R9 to R12
+//!                                                                                     │ loss
+//! Gradients ←─ project_one_backward ─ sums per splat ←─ composite_tile_backward ─ Upstream
+//!                  R15 to R20                                R13, R14
 //! ```
 //!
-//! Reading order: `render` → `view` → `covariance`, `color`, `project` → `bin` → `composite`.
+//! Reading order: `render` → `view` → `covariance`, `color`, `project` → `bin` → `composite`, then
+//! `backward`. Each step's way back stands below it in the same file.
 //! Formulas are numbered R1, R2, ... and derived in `docs/math.md`. Constants and
 //! cuts are those of the CUDA rasterizer of 3D Gaussian Splatting, so that trained maps look
 //! here as they do elsewhere; what differs is the principal point, which is free, and that
@@ -14,6 +18,7 @@
 //! Everything is generic over [`garad_core::Real`]: f32 is what a GPU is compared with, f64 is
 //! what proves gradients.
 
+mod backward;
 mod bin;
 mod color;
 mod composite;
@@ -23,6 +28,7 @@ mod project;
 mod render;
 mod view;
 
+pub use backward::{ClampGradient, Gradients, Upstream, backward};
 pub use composite::{MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
 pub use covariance::BLUR_PX2;
 pub use error::RasterError;

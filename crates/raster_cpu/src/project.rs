@@ -1,9 +1,14 @@
-//! One Gaussian becomes one splat: [`Projected`] (R1 to R7).
+//! One Gaussian becomes one splat, [`Projected`] (R1 to R7), and its gradient comes back (R15 to R20).
 
-use garad_core::{GaussianMap, Label, Par, Real};
+use garad_core::{GaussianMap, Label, Par, Real, sh};
 
-use crate::color::color;
-use crate::covariance::{Covariance2, covariance, half_axes, pixel_from_world, rotation};
+use crate::backward::ClampGradient;
+use crate::color::{color, color_backward};
+use crate::composite::SplatGradient;
+use crate::covariance::{
+    Covariance2, covariance, covariance_backward, cross, half_axes, half_axes_backward,
+    pixel_from_world, pixel_from_world_backward, rotation, rotation_backward,
+};
 use crate::render::Include;
 use crate::view::View;
 
@@ -144,6 +149,81 @@ fn project_one<T: Real>(map: &GaussianMap<T>, i: usize, view: &View<T>) -> Optio
         color: color(map, i, view.center)?,
         radius_px: saturate(radius),
         footprint,
+    })
+}
+
+// Cached between the two: the splat's colour, opacity and depth. The rest of the way from the
+// parameters is cheap beside the pixels and is walked again.
+
+/// The gradient of one Gaussian's row.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct RowGradient<T> {
+    pub(crate) mean: [T; 3],
+    pub(crate) log_scale: [T; 3],
+    pub(crate) quaternion: [T; 4],
+    pub(crate) opacity_logit: T,
+    pub(crate) sh: [[T; 3]; sh::MAX_COEFFICIENTS],
+    /// Its share of the pose's gradient, (translation, rotation).
+    pub(crate) pose: [T; 6],
+}
+
+/// The way back through [`project_one`] (R15 to R20). `None` where the row was never drawn.
+///
+/// With p = W mean + t and the pose on its left, exp(ρ, φ): ∂p/∂mean = W, ∂p/∂ρ = 1, φ moves p by
+/// φ × p. The direction of view is Wᵀ p/|p|, which only ρ and the mean turn.
+pub(crate) fn project_one_backward<T: Real>(
+    map: &GaussianMap<T>,
+    view: &View<T>,
+    splat: &Projected<T>,
+    d: &SplatGradient<T>,
+    clamp: ClampGradient,
+) -> Option<RowGradient<T>> {
+    let i = splat.index as usize;
+    let p_cam = camera_point(view, map.means[i]);
+    let [x, y, z] = p_cam;
+    let rotation = rotation(map.quaternions[i])?;
+    let sigma_m = map.log_scales[i].map(T::exp);
+    let jw = pixel_from_world(view, p_cam);
+    let m = half_axes(&jw, &rotation, sigma_m);
+
+    // R2 to R5: from the covariance in the picture to shape, orientation and place.
+    let d_m = covariance_backward(&m, d.covariance);
+    let d_axes = half_axes_backward(&jw, &rotation, sigma_m, &m, &d_m);
+    let d_jw = pixel_from_world_backward(view, p_cam, &jw, &d_axes.pixel_from_world, clamp);
+
+    // R1: the point in the camera moves the splat's centre, its depth and its shape.
+    let [fx, fy] = view.focal_px;
+    let [du, dv] = d.mean_px;
+    let d_p = [
+        d_jw.p_cam[0] + fx * du / z,
+        d_jw.p_cam[1] + fy * dv / z,
+        d_jw.p_cam[2] - (fx * du * (x / z) + fy * dv * (y / z)) / z + d.depth_m,
+    ];
+
+    // R7: and the direction it is seen from.
+    let d_color = color_backward(map, i, view.center, splat.color, d.color);
+    let w = &view.rotation;
+    let across = [0, 1, 2].map(|i| {
+        let o = &d_color.offset;
+        w[i][0] * o[0] + w[i][1] * o[1] + w[i][2] * o[2]
+    });
+    let lever = cross(p_cam, d_p);
+    Some(RowGradient {
+        mean: [0, 1, 2]
+            .map(|j| w[0][j] * d_p[0] + w[1][j] * d_p[1] + w[2][j] * d_p[2] + d_color.offset[j]),
+        log_scale: d_axes.log_scale,
+        quaternion: rotation_backward(map.quaternions[i], &d_axes.rotation),
+        // 1 - sigmoid(o) = sigmoid(-o), without the difference.
+        opacity_logit: d.opacity * splat.opacity * sigmoid(-map.opacity_logits[i]),
+        sh: d_color.sh,
+        pose: [
+            d_p[0] + across[0],
+            d_p[1] + across[1],
+            d_p[2] + across[2],
+            lever[0] + d_jw.turn[0],
+            lever[1] + d_jw.turn[1],
+            lever[2] + d_jw.turn[2],
+        ],
     })
 }
 

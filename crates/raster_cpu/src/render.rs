@@ -2,6 +2,7 @@
 
 use garad_core::{Camera, GaussianMap, Image, Par, Real, Se3};
 
+use crate::backward::ClampGradient;
 use crate::bin::{Tiles, sort_front_to_back};
 use crate::composite::{Pixel, composite_tile};
 use crate::error::RasterError;
@@ -29,19 +30,23 @@ pub enum Include {
 pub struct RenderOptions {
     /// Colour behind everything, (r, g, b).
     pub background: [f64; 3],
-    /// Side of the squares that work is cut into, pixels. Only [`Rendered::last`] depends on it.
+    /// Side of the squares that work is cut into, pixels. Of the picture only [`Rendered::last`]
+    /// depends on it; of gradients, the last bits.
     pub tile_px: usize,
     /// Which Gaussians are drawn.
     pub include: Include,
+    /// What [`crate::backward()`] passes through an active clamp; the picture knows nothing of it.
+    pub clamp_gradient: ClampGradient,
 }
 
 impl Default for RenderOptions {
-    /// Black background, 16-pixel tiles, every Gaussian.
+    /// Black background, 16-pixel tiles, every Gaussian, true derivatives.
     fn default() -> Self {
         Self {
             background: [0.0; 3],
             tile_px: 16,
             include: Include::All,
+            clamp_gradient: ClampGradient::True,
         }
     }
 }
@@ -208,7 +213,7 @@ fn assemble<T: Real>(tiles: &Tiles, parts: &[Vec<Pixel<T>>], size: [usize; 2]) -
     picture
 }
 
-fn check<T: Real>(
+pub(crate) fn check<T: Real>(
     map: &GaussianMap<T>,
     camera: &Camera,
     camera_from_world: &Se3,

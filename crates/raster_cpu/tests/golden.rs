@@ -1,8 +1,9 @@
-//! The forward pass against a dense renderer written independently (`tests/golden/gen/raster.py`).
+//! Both passes against a dense renderer written independently (`tests/golden/gen/raster.py`), the
+//! backward pass through its derivatives by complex steps (`raster_backward.py`).
 
 use garad_core::{Camera, GaussianMap, Image, KeyframeId, Label, Par, Real, Se3, So3};
 use garad_golden::{Case, compare::compare, tol};
-use garad_raster::{RenderOptions, Rendered, render};
+use garad_raster::{ClampGradient, Gradients, RenderOptions, Rendered, Upstream, backward, render};
 use nalgebra::Vector3;
 
 struct Scene {
@@ -54,6 +55,14 @@ fn scene(case: &Case) -> Scene {
         ),
         options: RenderOptions {
             background: triple(&case.input("background").f64()),
+            clamp_gradient: match case
+                .param("clamp_gradient")
+                .map(|_| case.param_str("clamp_gradient"))
+            {
+                None | Some("true") => ClampGradient::True,
+                Some("pass_through") => ClampGradient::PassThrough,
+                Some(other) => panic!("clamp_gradient {other}"),
+            },
             ..RenderOptions::default()
         },
     }
@@ -162,6 +171,77 @@ fn forward_in_f32() {
             };
             let tolerance = tol::find(&tolerance).expect("in the table");
             let verdict = compare(expected, &got, tolerance).expect("same count");
+            assert!(verdict.passed, "{} '{name}': {verdict}", case.name());
+        }
+    }
+}
+
+fn gradients<T: Real>(case: &Case) -> Gradients<T> {
+    let scene = scene(case);
+    let (width, height) = (scene.camera.width, scene.camera.height);
+    let image = |name: &str| {
+        let values = case.input(name).f64();
+        Image::from_fn(width, height, |x, y| T::from_f64(values[y * width + x]))
+    };
+    let d_color = case.input("upstream_color").f64();
+    let upstream = Upstream {
+        color: Image::from_fn(width, height, |x, y| {
+            [0, 1, 2].map(|k| T::from_f64(d_color[3 * (y * width + x) + k]))
+        }),
+        depth: Some(image("upstream_depth")),
+        opacity: Some(image("upstream_opacity")),
+    };
+    let (map, picture) = (scene.map.cast::<T>(), draw::<T>(&scene));
+    backward(
+        &map,
+        &scene.camera,
+        &scene.pose,
+        &scene.options,
+        &picture,
+        &upstream,
+        Par::Seq,
+    )
+    .expect("gradients")
+}
+
+/// Every gradient under the name it has in `case.json`.
+fn tensors<T: Real>(g: &Gradients<T>) -> Vec<(&'static str, Vec<f64>)> {
+    fn flat<T: Real, const N: usize>(rows: &[[T; N]]) -> Vec<f64> {
+        rows.iter().flatten().map(|v| v.to_f64()).collect()
+    }
+    let column = |v: &[T]| v.iter().map(|v| v.to_f64()).collect();
+    vec![
+        ("d_means", flat(&g.means)),
+        ("d_log_scales", flat(&g.log_scales)),
+        ("d_quaternions", flat(&g.quaternions)),
+        ("d_opacity_logits", column(&g.opacity_logits)),
+        ("d_sh", flat(&g.sh)),
+        ("d_pose", column(&g.pose)),
+        ("d_means2d", flat(&g.means2d)),
+        ("d_conics", flat(&g.conics)),
+        ("d_opacities", column(&g.opacities)),
+        ("d_colors", flat(&g.colors)),
+        ("d_depths", column(&g.depths)),
+    ]
+}
+
+#[test]
+fn backward_in_f64() {
+    for case in Case::load_all("raster_backward") {
+        for (name, got) in tensors(&gradients::<f64>(&case)) {
+            case.check(name, &got)
+                .unwrap_or_else(|report| panic!("{report}"));
+        }
+    }
+}
+
+#[test]
+fn backward_in_f32() {
+    for case in Case::load_all("raster_backward") {
+        for (name, got) in tensors(&gradients::<f32>(&case)) {
+            let tolerance = format!("raster_backward.f32.{name}");
+            let tolerance = tol::find(&tolerance).expect("in the table");
+            let verdict = compare(case.output(name), &got, tolerance).expect("same count");
             assert!(verdict.passed, "{} '{name}': {verdict}", case.name());
         }
     }

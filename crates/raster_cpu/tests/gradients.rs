@@ -1,0 +1,494 @@
+//! Gradients against differences of the picture, and what holds for every gradient.
+//!
+//! The picture jumps where a splat crosses a cut. A difference quotient across a jump says
+//! nothing, so pixels in which any probe changes what is blended get no weight in L; few are lost.
+
+mod common;
+
+use common::{camera, map, pose};
+use garad_core::{Camera, GaussianMap, Image, KeyframeId, Label, NewGaussian, Par, Rng, Se3};
+use garad_raster::{
+    ClampGradient, Gradients, Include, RasterError, RenderOptions, Rendered, Upstream, backward,
+    render,
+};
+use nalgebra::{Vector3, Vector6};
+use proptest::prelude::*;
+
+const H: f64 = 1e-5;
+
+struct Scene {
+    map: GaussianMap<f64>,
+    camera: Camera,
+    pose: Se3,
+    options: RenderOptions,
+}
+
+impl Scene {
+    fn draw(&self) -> Rendered<f64> {
+        render(&self.map, &self.camera, &self.pose, &self.options, Par::Seq).expect("a picture")
+    }
+
+    fn back(&self, upstream: &Upstream<f64>) -> Gradients<f64> {
+        let picture = self.draw();
+        let Self {
+            map,
+            camera,
+            pose,
+            options,
+        } = self;
+        backward(map, camera, pose, options, &picture, upstream, Par::Seq).expect("gradients")
+    }
+}
+
+/// Eight turned ellipsoids of degree 3 in general position, principal point off the middle, all
+/// clamps inactive.
+fn smooth_scene(seed: u64) -> Scene {
+    let mut rng = Rng::keyed(seed, &[8]);
+    let camera = Camera::pinhole((36, 28), [40.0, 43.0, 14.2, 16.7]).expect("valid");
+    let pose = pose();
+    let mut map = GaussianMap::new(3);
+    for i in 0..8 {
+        let z = rng.range(1.0, 3.0);
+        let uv = nalgebra::Vector2::new(rng.range(2.0, 34.0), rng.range(2.0, 26.0));
+        let mean = pose.inverse() * camera.unproject(&uv, z);
+        map.push(&NewGaussian {
+            mean: [mean.x, mean.y, mean.z],
+            sigma_m: 0.1 * z,
+            opacity: rng.range(0.2, 0.9),
+            color: [0; 3].map(|_| rng.range(0.5, 1.0)),
+            landmark: None,
+            born: KeyframeId(0),
+        });
+        map.quaternions[i] = [0; 4].map(|_| rng.normal());
+        map.log_scales[i] = map.log_scales[i].map(|s| s + rng.range(-0.7, 0.7));
+        for coefficient in &mut map.sh[16 * i + 1..16 * (i + 1)] {
+            *coefficient = [0; 3].map(|_| rng.range(-0.08, 0.08));
+        }
+    }
+    let options = RenderOptions {
+        background: [0.2, 0.4, 0.1],
+        ..RenderOptions::default()
+    };
+    Scene {
+        map,
+        camera,
+        pose,
+        options,
+    }
+}
+
+/// Normal numbers everywhere.
+fn upstream(seed: u64, camera: &Camera) -> Upstream<f64> {
+    let mut rng = Rng::keyed(seed, &[1]);
+    let (w, h) = (camera.width, camera.height);
+    Upstream {
+        color: Image::from_fn(w, h, |_, _| [0; 3].map(|_| rng.normal())),
+        depth: Some(Image::from_fn(w, h, |_, _| rng.normal())),
+        opacity: Some(Image::from_fn(w, h, |_, _| rng.normal())),
+    }
+}
+
+/// One number of the input.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Probe {
+    Mean(usize, usize),
+    LogScale(usize, usize),
+    Quaternion(usize, usize),
+    Logit(usize),
+    Sh(usize, usize),
+    Pose(usize),
+}
+
+impl Probe {
+    fn all(map: &GaussianMap<f64>) -> Vec<Self> {
+        let mut probes: Vec<Self> = (0..6).map(Self::Pose).collect();
+        for i in 0..map.len() {
+            probes.extend((0..3).map(|k| Self::Mean(i, k)));
+            probes.extend((0..3).map(|k| Self::LogScale(i, k)));
+            probes.extend((0..4).map(|k| Self::Quaternion(i, k)));
+            probes.push(Self::Logit(i));
+        }
+        probes.extend((0..map.sh.len()).flat_map(|i| (0..3).map(move |k| Self::Sh(i, k))));
+        probes
+    }
+
+    fn moved(self, scene: &Scene, h: f64) -> Rendered<f64> {
+        let mut map = scene.map.clone();
+        let mut pose = scene.pose;
+        match self {
+            Self::Mean(i, k) => map.means[i][k] += h,
+            Self::LogScale(i, k) => map.log_scales[i][k] += h,
+            Self::Quaternion(i, k) => map.quaternions[i][k] += h,
+            Self::Logit(i) => map.opacity_logits[i] += h,
+            Self::Sh(i, k) => map.sh[i][k] += h,
+            Self::Pose(k) => {
+                let mut xi = Vector6::zeros();
+                xi[k] = h;
+                pose = Se3::exp(&xi) * pose;
+            }
+        }
+        render(&map, &scene.camera, &pose, &scene.options, Par::Seq).expect("a picture")
+    }
+
+    fn of(self, g: &Gradients<f64>) -> f64 {
+        match self {
+            Self::Mean(i, k) => g.means[i][k],
+            Self::LogScale(i, k) => g.log_scales[i][k],
+            Self::Quaternion(i, k) => g.quaternions[i][k],
+            Self::Logit(i) => g.opacity_logits[i],
+            Self::Sh(i, k) => g.sh[i][k],
+            Self::Pose(k) => g.pose[k],
+        }
+    }
+
+    /// 0 to 5: which array.
+    fn array(self) -> usize {
+        match self {
+            Self::Mean(..) => 0,
+            Self::LogScale(..) => 1,
+            Self::Quaternion(..) => 2,
+            Self::Logit(_) => 3,
+            Self::Sh(..) => 4,
+            Self::Pose(_) => 5,
+        }
+    }
+}
+
+/// Five pictures in one: (r, g, b, depth, opacity) per pixel.
+fn channels(r: &Rendered<f64>) -> Vec<[f64; 5]> {
+    (0..r.depth.data().len())
+        .map(|p| {
+            let c = r.color.data()[p];
+            [c[0], c[1], c[2], r.depth.data()[p], r.opacity.data()[p]]
+        })
+        .collect()
+}
+
+/// Central differences with h = 1e-5 for every parameter: they agree to 1e-7 of the element,
+/// elements below a hundredth of their array's largest being judged by that.
+#[test]
+fn every_parameter_against_differences() {
+    for seed in [1, 2, 3] {
+        let scene = smooth_scene(seed);
+        let base = scene.draw();
+        assert_eq!(base.projected.len(), 8, "scene {seed}: all visible");
+        let brightest = base.projected.iter().map(|s| s.opacity).fold(0.0, f64::max);
+        assert!(brightest < 0.95, "scene {seed}: alpha unclamped");
+        let darkest = base
+            .projected
+            .iter()
+            .flat_map(|s| s.color)
+            .fold(1.0, f64::min);
+        assert!(darkest > 0.1, "scene {seed}: colour unclamped");
+
+        // Slopes of every pixel by every probe, and the pixels that jump.
+        let mut smooth = vec![1.0; base.depth.data().len()];
+        let slopes: Vec<(Probe, Vec<[f64; 5]>)> = Probe::all(&scene.map)
+            .into_iter()
+            .map(|probe| {
+                let (plus, minus) = (probe.moved(&scene, H), probe.moved(&scene, -H));
+                for (p, keep) in smooth.iter_mut().enumerate() {
+                    let blended = |r: &Rendered<f64>| (r.contributors.data()[p], r.last.data()[p]);
+                    if blended(&plus) != blended(&base) || blended(&minus) != blended(&base) {
+                        *keep = 0.0;
+                    }
+                }
+                let pairs = channels(&plus).into_iter().zip(channels(&minus));
+                let slope = pairs.map(|(a, b)| [0, 1, 2, 3, 4].map(|c| (a[c] - b[c]) / (2.0 * H)));
+                (probe, slope.collect())
+            })
+            .collect();
+        let lost = smooth.iter().filter(|&&s| s < 0.5).count();
+        assert!(lost * 20 < smooth.len(), "scene {seed}: {lost} pixels jump");
+
+        let mut up = upstream(seed, &scene.camera);
+        for (p, keep) in smooth.iter().enumerate() {
+            let at = (p % 36, p / 36);
+            up.color[at] = up.color[at].map(|v| v * keep);
+            for picture in [&mut up.depth, &mut up.opacity] {
+                picture.as_mut().expect("given")[at] *= keep;
+            }
+        }
+        let gradients = scene.back(&up);
+        let weights: Vec<[f64; 5]> = (0..smooth.len())
+            .map(|p| {
+                let c = up.color.data()[p];
+                let of = |i: &Option<Image<f64>>| i.as_ref().expect("given").data()[p];
+                [c[0], c[1], c[2], of(&up.depth), of(&up.opacity)]
+            })
+            .collect();
+        let mut largest = [0.0f64; 6];
+        for (probe, _) in &slopes {
+            let largest = &mut largest[probe.array()];
+            *largest = largest.max(probe.of(&gradients).abs());
+        }
+        for (probe, slope) in &slopes {
+            let numeric: f64 = (weights.iter().zip(slope))
+                .map(|(w, s)| (0..5).map(|c| w[c] * s[c]).sum::<f64>())
+                .sum();
+            let analytic = probe.of(&gradients);
+            let size = analytic.abs().max(0.01 * largest[probe.array()]);
+            assert!(
+                (analytic - numeric).abs() < 1e-7 * size,
+                "scene {seed}, {probe:?}: {analytic} against {numeric}"
+            );
+            assert!(
+                analytic.abs() > 1e-9,
+                "scene {seed}, {probe:?} is {analytic}"
+            );
+        }
+        // The picture does not know the length of a quaternion.
+        for (g, q) in gradients.quaternions.iter().zip(&scene.map.quaternions) {
+            let dot: f64 = g.iter().zip(q).map(|(g, q)| g * q).sum();
+            let norm = |v: &[f64; 4]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+            assert!(dot.abs() < 1e-14 * norm(g) * norm(q), "radial {dot:e}");
+        }
+    }
+}
+
+fn random_scene(seed: u64, options: RenderOptions) -> Scene {
+    Scene {
+        map: map(seed, 40),
+        camera: camera(),
+        pose: pose(),
+        options,
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+
+    /// Moving all Gaussians by v is moving the camera's world by W v: Σ ∂L/∂mean = Wᵀ ∂L/∂ρ.
+    #[test]
+    fn moving_the_map_is_moving_the_camera(seed in 0u64..1000) {
+        let scene = random_scene(seed, RenderOptions::default());
+        let g = scene.back(&upstream(seed, &scene.camera));
+        let sum = g.means.iter().fold(Vector3::zeros(), |s, m| s + Vector3::from(*m));
+        let size: f64 = g.means.iter().map(|m| Vector3::from(*m).norm()).sum();
+        let rho = Vector3::new(g.pose[0], g.pose[1], g.pose[2]);
+        let back = scene.pose.rotation.matrix().transpose() * rho;
+        prop_assert!((sum - back).norm() < 1e-13 * size, "{sum} against {back}");
+    }
+
+    #[test]
+    fn threads_change_nothing_and_tiles_only_rounding(seed in 0u64..1000) {
+        let scene = random_scene(seed, RenderOptions::default());
+        let up = upstream(seed, &scene.camera);
+        let one = scene.back(&up);
+        let Scene { map, camera, pose, options } = &scene;
+        for threads in [2, 3] {
+            let many = backward(map, camera, pose, options, &scene.draw(), &up, Par::Threads(threads));
+            prop_assert!(many.as_ref() == Ok(&one), "{threads} threads");
+        }
+        let coarse = random_scene(seed, RenderOptions { tile_px: 32, ..*options });
+        let other = coarse.back(&up);
+        let size = one.means.iter().flatten().fold(0.0f64, |m, v| m.max(v.abs()));
+        for (a, b) in one.means.iter().flatten().zip(other.means.iter().flatten()) {
+            prop_assert!((a - b).abs() < 1e-12 * size, "{a} against {b}");
+        }
+    }
+
+    /// L is linear in what comes from above, and a picture that is not there is zero.
+    #[test]
+    fn absent_pictures_are_zero(seed in 0u64..1000) {
+        let scene = random_scene(seed, RenderOptions::default());
+        let up = upstream(seed, &scene.camera);
+        let color = Upstream { depth: None, opacity: None, ..up.clone() };
+        let rest = Upstream { color: Image::new(70, 50, [0.0; 3]), ..up.clone() };
+        let (all, color, rest) = (scene.back(&up), scene.back(&color), scene.back(&rest));
+        for k in 0..6 {
+            let size = color.pose[k].abs() + rest.pose[k].abs();
+            prop_assert!((color.pose[k] + rest.pose[k] - all.pose[k]).abs() < 1e-12 * size, "{k}");
+        }
+    }
+}
+
+/// One pixel on the axis.
+fn pinhole_of_one() -> Camera {
+    Camera::pinhole((1, 1), [20.0, 20.0, 0.0, 0.0]).expect("valid")
+}
+
+fn ball(z: f64, opacity: f64) -> NewGaussian<f64> {
+    NewGaussian {
+        mean: [0.001, 0.0, z],
+        sigma_m: 0.5,
+        opacity,
+        color: [0.8, 0.6, 0.7],
+        landmark: None,
+        born: KeyframeId(0),
+    }
+}
+
+fn stack(balls: &[NewGaussian<f64>]) -> Scene {
+    let mut map = GaussianMap::new(0);
+    for ball in balls {
+        map.push(ball);
+    }
+    Scene {
+        map,
+        camera: pinhole_of_one(),
+        pose: Se3::default(),
+        options: RenderOptions::default(),
+    }
+}
+
+/// Largest absolute number in row i.
+fn row_size(g: &Gradients<f64>, i: usize) -> f64 {
+    let rows = [
+        &g.means[i][..],
+        &g.log_scales[i],
+        &g.quaternions[i],
+        &g.sh[i],
+        &g.means2d[i],
+        &g.conics[i],
+    ];
+    let single = [g.opacity_logits[i], g.opacities[i], g.depths[i]];
+    let all = rows
+        .into_iter()
+        .flatten()
+        .chain(&single)
+        .chain(&g.colors[i]);
+    all.fold(0.0, |m, v| m.max(v.abs()))
+}
+
+#[test]
+fn saturated_alpha_passes_nothing_unless_asked_to() {
+    let mut scene = stack(&[ball(2.0, 0.995)]);
+    let up = upstream(4, &scene.camera);
+    let g = scene.back(&up);
+    assert!(
+        g.opacity_logits[0].abs() < 1e-300,
+        "opacity: {}",
+        g.opacity_logits[0]
+    );
+    assert!(g.means2d[0][0].abs() < 1e-300, "place: {:?}", g.means2d);
+    assert!(
+        g.colors[0][0].abs() > 1e-3 && g.depths[0].abs() > 1e-3,
+        "colour is not clamped"
+    );
+    scene.options.clamp_gradient = ClampGradient::PassThrough;
+    let through = scene.back(&up);
+    assert!(
+        through.opacity_logits[0].abs() > 1e-4,
+        "{}",
+        through.opacity_logits[0]
+    );
+    assert!(through.means2d[0][0].abs() > 1e-9, "{:?}", through.means2d);
+    // Just below the clamp both are the derivative.
+    let below = stack(&[ball(2.0, 0.985)]);
+    assert!(below.back(&up).opacity_logits[0].abs() > 1e-4, "unclamped");
+}
+
+#[test]
+fn dark_channels_teach_their_coefficients_nothing() {
+    let mut scene = stack(&[ball(2.0, 0.5)]);
+    scene.map.sh[0] = [-3.0, 0.0, 0.3];
+    let g = scene.back(&upstream(5, &scene.camera));
+    assert!(g.sh[0][0].abs() < 1e-300, "red is clamped: {:?}", g.sh[0]);
+    assert!(
+        g.sh[0][1].abs() > 1e-4 && g.sh[0][2].abs() > 1e-4,
+        "the others not: {:?}",
+        g.sh[0]
+    );
+}
+
+#[test]
+fn what_is_not_drawn_has_no_gradient() {
+    // Behind the camera; before the near plane; three opaque ones; behind them; dynamic.
+    let mut dynamic = stack(&[
+        ball(-1.0, 0.5),
+        ball(0.1999, 0.5),
+        ball(1.0, 0.98),
+        ball(1.1, 0.98),
+        ball(1.2, 0.98),
+        ball(3.0, 0.9),
+        ball(0.5, 0.5),
+    ]);
+    dynamic.map.label[6] = Label::Dynamic;
+    dynamic.options.include = Include::StaticOnly;
+    let up = upstream(6, &dynamic.camera);
+    let g = dynamic.back(&up);
+    for i in [0, 1, 4, 5, 6] {
+        assert!(row_size(&g, i) < 1e-300, "row {i}: {}", row_size(&g, i));
+    }
+    for i in [2, 3] {
+        assert!(row_size(&g, i) > 1e-3, "row {i} is seen");
+    }
+    // And the pose feels nothing of them.
+    let seen = stack(&[ball(1.0, 0.98), ball(1.1, 0.98)]).back(&up);
+    assert_eq!(
+        seen.pose.map(f64::to_bits),
+        g.pose.map(f64::to_bits),
+        "pose"
+    );
+    assert!(g.pose.iter().any(|v| v.abs() > 1e-3), "{:?}", g.pose);
+}
+
+#[test]
+fn an_empty_map_has_empty_gradients() {
+    let scene = stack(&[]);
+    let g = scene.back(&upstream(7, &scene.camera));
+    assert!(g.means.is_empty() && g.sh.is_empty(), "no rows");
+    assert!(
+        g.pose.iter().all(|v| v.abs() < 1e-300),
+        "no pull: {:?}",
+        g.pose
+    );
+}
+
+#[test]
+fn pictures_that_do_not_fit_are_errors() {
+    let scene = random_scene(1, RenderOptions::default());
+    let Scene {
+        map,
+        camera,
+        pose,
+        options,
+    } = &scene;
+    let (picture, up) = (scene.draw(), upstream(1, camera));
+    let error = |map, picture: &Rendered<f64>, up: &Upstream<f64>| {
+        backward(map, camera, pose, options, picture, up, Par::Seq).expect_err("does not fit")
+    };
+    let mut small = up.clone();
+    small.depth = Some(Image::new(70, 49, 0.0));
+    assert_eq!(
+        error(map, &picture, &small),
+        RasterError::SizeMismatch {
+            picture: "upstream.depth",
+            expected: (70, 50),
+            got: (70, 49)
+        },
+        "depth"
+    );
+    let mut cut = picture.clone();
+    cut.last = Image::new(1, 1, 0);
+    assert!(
+        matches!(
+            error(map, &cut, &up),
+            RasterError::SizeMismatch {
+                picture: "rendered.last",
+                ..
+            }
+        ),
+        "last"
+    );
+    let few = common::map(1, 3);
+    assert!(
+        matches!(error(&few, &picture, &up), RasterError::NotThisMap { .. }),
+        "another map"
+    );
+    let mut wide = picture.clone();
+    wide.projected[2].footprint.x1 = 71;
+    assert_eq!(
+        error(map, &wide, &up),
+        RasterError::NotThisMap { splat: 2 },
+        "outside"
+    );
+    let mut poisoned = map.clone();
+    poisoned.quaternions[picture.projected[0].index as usize] = [0.0; 4];
+    assert_eq!(
+        error(&poisoned, &picture, &up),
+        RasterError::NotThisMap { splat: 0 },
+        "never drawn"
+    );
+}
