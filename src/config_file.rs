@@ -2,22 +2,31 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use garad_slam::Config;
 
 /// Reads a configuration; tables and keys that are not given keep their defaults.
 ///
 /// # Errors
-/// A file that cannot be read, a key that does not exist, a value of the wrong kind (with line and
-/// column), or a value outside its range.
+/// A file that cannot be read, a key that does not exist, a value of the wrong kind (with its
+/// line), or a value outside its range.
 pub fn read(path: &Path) -> Result<Config> {
     let text = std::fs::read_to_string(path)
         .with_context(|| format!("{}: cannot read the configuration", path.display()))?;
-    let config: Config = toml::from_str(&text).with_context(|| path.display().to_string())?;
+    let config: Config = toml::from_str(&text).map_err(|error| {
+        let line = line_of(&text, error.span().map_or(0, |span| span.start));
+        anyhow!("{}:{line}: {}", path.display(), error.message())
+    })?;
     config
         .validate()
         .with_context(|| path.display().to_string())?;
     Ok(config)
+}
+
+/// The line, from 1, that holds byte `at`.
+fn line_of(text: &str, at: usize) -> usize {
+    let before = text.bytes().take(at);
+    1 + before.filter(|byte| *byte == b'\n').count()
 }
 
 /// The configuration as TOML text.
@@ -55,9 +64,21 @@ mod tests {
             parse("[tracking]\nbff = 40.0").expect_err("no such key")
         );
         assert!(
-            unknown.contains("bff") && unknown.contains("line 2"),
+            unknown.contains("config.toml:2: ") && unknown.contains("bff"),
             "{unknown}"
         );
+        for (text, line) in [
+            ("bff = 1", 1),
+            ("[seed]\n\nopacity = true\n", 3),
+            ("[seed\n", 1),
+            ("[seed]\nopacity =", 2),
+        ] {
+            let message = format!("{:#}", parse(text).expect_err(text));
+            assert!(
+                message.contains(&format!("config.toml:{line}: ")) && !message.contains('\n'),
+                "{text:?}: {message}"
+            );
+        }
         let range = format!(
             "{:#}",
             parse("[seed]\nopacity = 2.0").expect_err("not in (0, 1)")

@@ -3,6 +3,7 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use garad::progress;
 
 mod commands;
 
@@ -39,6 +40,7 @@ fn main() -> ExitCode {
         .with_max_level(log_level())
         .without_time()
         .with_target(false)
+        .log_internal_errors(false)
         .init();
     let outcome = match cli.command {
         Command::Demo(args) => commands::demo::run(&args),
@@ -50,7 +52,7 @@ fn main() -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            progress::note(&format!("error: {error:#}"));
             ExitCode::from(BAD_INPUT)
         }
     }

@@ -60,6 +60,9 @@ impl Judged {
         let options = AteOptions::default();
         let (ate, protocol) = match ground_truth {
             None => (None, "cannot be judged: no ground truth".to_owned()),
+            Some(_) if result.trajectory.is_empty() => {
+                (None, "cannot be judged: no frame has a pose".to_owned())
+            }
             Some(truth) => match ate(truth, &result.trajectory, &options) {
                 Ok(ate) => (Some(ate), format!("{}, {which_truth}", options.describe())),
                 Err(error) => (None, format!("cannot be judged: {error}")),

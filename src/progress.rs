@@ -1,12 +1,29 @@
 //! Progress of long work: a bar on a terminal, plain lines elsewhere, nothing when quiet.
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write as _};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
 /// How often plain lines appear.
 const LINE_EVERY: Duration = Duration::from_secs(5);
+
+/// One line on stderr.
+///
+/// Control characters, which file names may hold, are escaped. Nobody may be reading any more
+/// (`2>&1 | head`): that is no reason to stop.
+pub fn note(line: &str) {
+    let mut shown = String::with_capacity(line.len() + 1);
+    for c in line.chars() {
+        if c.is_control() {
+            shown.extend(c.escape_default());
+        } else {
+            shown.push(c);
+        }
+    }
+    shown.push('\n');
+    let _ = std::io::stderr().write_all(shown.as_bytes());
+}
 
 /// Counts steps of one job on stderr.
 #[derive(Debug)]
@@ -69,10 +86,10 @@ impl Progress {
                 if due || self.done == self.total {
                     self.last_line = now;
                     let rate = self.done as f64 / now.duration_since(self.begun).as_secs_f64();
-                    eprintln!(
+                    self::note(&format!(
                         "{}: {}/{} ({rate:.1}/s) {note}",
                         self.what, self.done, self.total
-                    );
+                    ));
                 }
             }
         }

@@ -9,7 +9,7 @@ use garad::runner::{self, SourceFrame};
 use garad_core::Par;
 use garad_synth::{Scene, SceneConfig, SceneName};
 
-use super::{CommonArgs, say};
+use super::{CommonArgs, make_folder, say};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -30,6 +30,7 @@ pub(crate) struct Args {
 const AHEAD: usize = 2;
 
 pub(crate) fn run(args: &Args) -> Result<()> {
+    let options = args.common.run_options(false)?;
     let scene = Scene::new(&SceneConfig {
         frames: args.frames,
         noise: true,
@@ -37,6 +38,12 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         ..SceneConfig::new(args.scene)
     })?;
     let name = format!("demo_{}", args.scene);
+    let out = args
+        .common
+        .out
+        .clone()
+        .unwrap_or_else(|| PathBuf::from("out").join(&name));
+    make_folder(&out)?;
     if !args.common.quiet {
         let labels = if args.without_labels {
             "no labels"
@@ -46,9 +53,8 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         say(&format!(
             "{name}: {} frames, Kinect-like noise, {labels}",
             args.frames
-        ));
+        ))?;
     }
-    let options = args.common.run_options(false)?;
     let camera = scene.camera();
     let result = std::thread::scope(|scope| {
         let (sender, receiver) = sync_channel(AHEAD);
@@ -71,15 +77,9 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     })?;
     let ground_truth = scene.trajectory();
     let judged = Judged::new(&name, &result, Some(&ground_truth), "exact ground truth");
-    let out = args
-        .common
-        .out
-        .clone()
-        .unwrap_or_else(|| PathBuf::from("out").join(&name));
     output::write(&out, &result, &judged, &[])?;
     for line in judged.summary() {
-        say(&line);
+        say(&line)?;
     }
-    say(&format!("look at   {}", out.join("report.html").display()));
-    Ok(())
+    say(&format!("look at   {}", out.join("report.html").display()))
 }

@@ -4,11 +4,10 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand, ValueEnum};
-use garad_core::StampedPose;
 use garad_eval::plot::{trajectory_panel, widest_planes};
 use garad_eval::{Alignment, AteOptions, RpeDelta, RpeOptions, Stats, ate, rpe};
 
-use super::say;
+use super::{read_poses, say};
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
@@ -56,8 +55,8 @@ pub(crate) fn run(command: &Command) -> Result<()> {
 }
 
 fn trajectory(args: &TrajectoryArgs) -> Result<()> {
-    let ground_truth = read(&args.ground_truth)?;
-    let estimate = read(&args.estimate)?;
+    let ground_truth = read_poses(&args.ground_truth)?;
+    let estimate = read_poses(&args.estimate)?;
     let options = AteOptions {
         alignment: match args.align {
             Align::None => Alignment::None,
@@ -97,28 +96,22 @@ fn trajectory(args: &TrajectoryArgs) -> Result<()> {
                 "rot_deg": to_json(&r.rot_deg),
             })),
         });
-        say(&serde_json::to_string_pretty(&figures)?);
-        return Ok(());
+        return say(&serde_json::to_string_pretty(&figures)?);
     }
     say(&format!(
         "protocol   {}, {} pairs",
         options.describe(),
         judged.stats.pairs
-    ));
-    say(&format!("ATE [m]    {}", row(&judged.stats)));
+    ))?;
+    say(&format!("ATE [m]    {}", row(&judged.stats)))?;
     match relative {
         Ok(relative) => {
             let per = format!("per {} s", args.rpe_delta);
-            say(&format!("RPE [m]    {}  {per}", row(&relative.trans_m)));
-            say(&format!("RPE [deg]  {}  {per}", row(&relative.rot_deg)));
+            say(&format!("RPE [m]    {}  {per}", row(&relative.trans_m)))?;
+            say(&format!("RPE [deg]  {}  {per}", row(&relative.rot_deg)))
         }
         Err(error) => say(&format!("RPE        cannot be judged: {error}")),
     }
-    Ok(())
-}
-
-fn read(path: &std::path::Path) -> Result<Vec<StampedPose>> {
-    Ok(garad_dataset::read_trajectory(path)?)
 }
 
 fn row(s: &Stats) -> String {

@@ -6,11 +6,14 @@ pub(crate) mod render;
 pub(crate) mod run;
 pub(crate) mod synth;
 
-use std::path::PathBuf;
+use std::io::{self, ErrorKind, Write as _};
+use std::path::{Path, PathBuf};
 
-use anyhow::Result;
+use anyhow::{Context, Result, bail};
 use clap::Args;
+use clap::builder::RangedU64ValueParser;
 use garad::runner::RunOptions;
+use garad_core::StampedPose;
 
 /// What `run` and `demo` share.
 #[derive(Debug, Args)]
@@ -19,7 +22,7 @@ pub(crate) struct CommonArgs {
     #[arg(short = 'o', long = "out", value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     /// Threads; the result has the same bits for any number.
-    #[arg(long, default_value_t = default_threads())]
+    #[arg(long, default_value_t = default_threads(), value_parser = threads())]
     pub(crate) threads: usize,
     /// Seed of everything random.
     #[arg(long, default_value_t = 0)]
@@ -32,8 +35,15 @@ pub(crate) struct CommonArgs {
     pub(crate) quiet: bool,
 }
 
+/// More threads than this cost time and memory, and no machine gains by them.
+const MAX_THREADS: usize = 256;
+
 fn default_threads() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
+    std::thread::available_parallelism().map_or(1, |n| n.get().min(MAX_THREADS))
+}
+
+fn threads() -> RangedU64ValueParser<usize> {
+    RangedU64ValueParser::new().range(1..=MAX_THREADS as u64)
 }
 
 impl CommonArgs {
@@ -53,8 +63,30 @@ impl CommonArgs {
     }
 }
 
-/// Prints a line of the result on stdout.
-#[allow(clippy::print_stdout, reason = "the one place that prints results")]
-pub(crate) fn say(line: &str) {
-    println!("{line}");
+/// Prints a line of the result on stdout. A reader that has left (`garad ... | head`) is no error.
+pub(crate) fn say(line: &str) -> Result<()> {
+    match writeln!(io::stdout(), "{line}") {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(error).context("stdout: cannot write the result")
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Makes the folder for results, before the work whose results it is to hold.
+pub(crate) fn make_folder(path: &Path) -> Result<()> {
+    std::fs::create_dir_all(path)
+        .with_context(|| format!("{}: cannot make the folder", path.display()))
+}
+
+/// A trajectory with at least one pose.
+pub(crate) fn read_poses(path: &Path) -> Result<Vec<StampedPose>> {
+    let poses = garad_dataset::read_trajectory(path)?;
+    if poses.is_empty() {
+        bail!(
+            "{}: holds no pose; expected lines `timestamp tx ty tz qx qy qz qw`",
+            path.display()
+        );
+    }
+    Ok(poses)
 }

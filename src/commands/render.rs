@@ -11,7 +11,7 @@ use garad_dataset::{Calibration, Preset};
 use garad_raster::{Include, RenderOptions, render};
 use nalgebra::Vector3;
 
-use super::say;
+use super::{make_folder, read_poses, say};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -43,7 +43,7 @@ pub(crate) struct Args {
     #[arg(long, value_enum, default_value_t = Which::All)]
     include: Which,
     /// Threads.
-    #[arg(long, default_value_t = super::default_threads())]
+    #[arg(long, default_value_t = super::default_threads(), value_parser = super::threads())]
     threads: usize,
     /// No progress.
     #[arg(long)]
@@ -88,8 +88,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let map = garad_dataset::read_ply(&args.map)?;
     let camera = camera(args)?;
     let poses = poses(args)?;
-    std::fs::create_dir_all(&args.out)
-        .with_context(|| format!("{}: cannot make the folder", args.out.display()))?;
+    make_folder(&args.out)?;
     let options = RenderOptions {
         include: match args.include {
             Which::All => Include::All,
@@ -128,7 +127,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         say(&format!(
             "{count} pose(s), {n} Gaussians, pictures in {}",
             args.out.display()
-        ));
+        ))?;
     }
     Ok(())
 }
@@ -155,7 +154,7 @@ fn poses(args: &Args) -> Result<Vec<StampedPose>> {
     let Some(path) = &args.trajectory else {
         bail!("from where? give --pose \"tx ty tz qx qy qz qw\" or --trajectory FILE");
     };
-    let poses = garad_dataset::read_trajectory(path)?;
+    let poses = read_poses(path)?;
     Ok(poses.into_iter().step_by(args.every.max(1)).collect())
 }
 

@@ -5,10 +5,11 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use garad::output::{self, Judged};
+use garad::progress::note;
 use garad::runner::{self, SourceFrame};
 use garad_dataset::{Dataset, Frame, OpenOptions, Preset, bonn_camera_from_marker};
 
-use super::{CommonArgs, say};
+use super::{CommonArgs, make_folder, say};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -57,8 +58,11 @@ enum GroundTruth {
 
 /// Frames decoded ahead of tracking.
 const PREFETCH: usize = 4;
+/// Skipped frames named on the terminal.
+const SKIPPED_SHOWN: usize = 5;
 
 pub(crate) fn run(args: &Args) -> Result<()> {
+    let run_options = args.common.run_options(args.input.strict)?;
     let options = OpenOptions {
         preset: args.input.preset,
         calibration: args.input.calibration.clone(),
@@ -74,16 +78,22 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             dataset.name(),
             dataset.len(),
             dataset.calibration().source
-        ));
+        ))?;
     }
     for warning in dataset.warnings() {
-        eprintln!("warning: {warning}");
+        note(&format!("warning: {warning}"));
     }
     let masks = args
         .oracle_labels
         .as_ref()
         .map(|dir| find_masks(args, dir))
         .transpose()?;
+    if args.ground_truth == GroundTruth::Camera && dataset.preset() != Some(Preset::Bonn) {
+        bail!(
+            "{}: --ground-truth camera is for BONN recordings; expected one, or --preset bonn",
+            args.dataset.display()
+        );
+    }
     let ground_truth = dataset.ground_truth().map(|raw| match args.ground_truth {
         GroundTruth::Raw => raw.to_vec(),
         GroundTruth::Camera => bonn_camera_from_marker(raw),
@@ -105,12 +115,17 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             mask,
         })
     });
-    let options = args.common.run_options(args.input.strict)?;
+    let out = args
+        .common
+        .out
+        .clone()
+        .unwrap_or_else(|| PathBuf::from("out").join(dataset.name()));
+    make_folder(&out)?;
     let result = runner::run(
         &dataset.calibration().camera,
         frames,
         dataset.len(),
-        &options,
+        &run_options,
     )?;
 
     let protocol = match (args.ground_truth, dataset.preset()) {
@@ -119,16 +134,14 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         (GroundTruth::Raw, _) => "raw ground truth",
     };
     let judged = Judged::new(dataset.name(), &result, ground_truth.as_deref(), protocol);
-    let out = args
-        .common
-        .out
-        .clone()
-        .unwrap_or_else(|| PathBuf::from("out").join(dataset.name()));
     output::write(&out, &result, &judged, dataset.warnings())?;
-    for line in judged.summary() {
-        say(&line);
+    if result.stopped_by.is_none() {
+        warn_of_skipped(&result.skipped);
     }
-    say(&format!("results in {}", out.display()));
+    for line in judged.summary() {
+        say(&line)?;
+    }
+    say(&format!("results in {}", out.display()))?;
     if let Some(error) = result.stopped_by {
         return Err(error.context("stopped by --strict; results so far are written"));
     }
@@ -138,11 +151,30 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     Ok(())
 }
 
+/// The first few frames left out, and how many more; the report names them all.
+fn warn_of_skipped(skipped: &[String]) {
+    for why in skipped.iter().take(SKIPPED_SHOWN) {
+        note(&format!("warning: frame skipped: {why}"));
+    }
+    if skipped.len() > SKIPPED_SHOWN {
+        let more = skipped.len() - SKIPPED_SHOWN;
+        note(&format!(
+            "warning: {more} more skipped; report.html names them all"
+        ));
+    }
+}
+
 fn find_masks(args: &Args, dir: &std::path::Path) -> Result<PathBuf> {
     let candidates = [dir.to_path_buf(), args.dataset.join(dir)];
     candidates
         .iter()
         .find(|d| d.is_dir())
         .cloned()
-        .with_context(|| format!("{}: no such folder of masks", dir.display()))
+        .with_context(|| {
+            format!(
+                "{}: no such folder; expected one of masks, here or inside {}",
+                dir.display(),
+                args.dataset.display()
+            )
+        })
 }

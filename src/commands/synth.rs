@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use garad::pictures::{png, png_gray, png_gray16};
 use garad::progress::Progress;
 use garad_core::{DepthImage, Image, Par, StampedPose};
@@ -11,7 +11,7 @@ use garad_dataset::write_bytes_atomically;
 use garad_golden::{Dtype, Tensor, npy};
 use garad_synth::{Scene, SceneConfig, SceneName};
 
-use super::say;
+use super::{make_folder, say};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -43,13 +43,15 @@ pub(crate) struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Threads.
-    #[arg(long, default_value_t = super::default_threads())]
+    #[arg(long, default_value_t = super::default_threads(), value_parser = super::threads())]
     threads: usize,
     /// No progress.
     #[arg(long)]
     quiet: bool,
 }
 
+/// Pictures are named by their time with six decimals, and no two may share a name.
+const MAX_FPS: f64 = 1e5;
 /// Raw depth per metre, as in TUM recordings.
 const DEPTH_FACTOR: f64 = 5000.0;
 
@@ -61,6 +63,9 @@ fn size(text: &str) -> Result<(usize, usize), String> {
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
+    if args.fps > MAX_FPS {
+        bail!("{} frames per second; expected at most {MAX_FPS}", args.fps);
+    }
     let scene = Scene::new(&SceneConfig {
         frames: args.frames,
         width: args.size.0,
@@ -75,9 +80,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         .iter()
         .chain(args.flow.then_some(&"flow"))
     {
-        let folder = args.out.join(folder);
-        std::fs::create_dir_all(&folder)
-            .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
+        make_folder(&args.out.join(folder))?;
     }
     let mut lists = Lists::default();
     let mut poses = Vec::new();
@@ -117,7 +120,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             "{}: {frames} frames of {}",
             args.out.display(),
             args.scene
-        ));
+        ))?;
     }
     Ok(())
 }
