@@ -120,7 +120,8 @@ impl Judged {
     }
 }
 
-/// Writes everything a run left. Each file is complete or absent.
+/// Writes everything a run left. Each file is complete or absent; a map with a number that is not
+/// finite is not written, and keeps no other file from being written.
 ///
 /// # Errors
 /// A folder or file that cannot be written.
@@ -133,11 +134,11 @@ pub fn write(out: &Path, result: &RunResult, judged: &Judged, warnings: &[String
         &out.join("keyframes.txt"),
         &result.slam.keyframe_trajectory(),
     )?;
-    write_ply(
+    let map = write_ply(
         &out.join("map.ply"),
         result.slam.gaussians(),
         &PlyOptions::default(),
-    )?;
+    );
     let config = crate::config_file::write(result.slam.config())?;
     write_bytes_atomically(&out.join("config.toml"), config.as_bytes())?;
     write_bytes_atomically(
@@ -158,6 +159,7 @@ pub fn write(out: &Path, result: &RunResult, judged: &Judged, warnings: &[String
     }
     let report = report(result, judged, warnings, &config, &drawn);
     write_bytes_atomically(&out.join("report.html"), report.as_bytes())?;
+    map?;
     Ok(())
 }
 

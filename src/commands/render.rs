@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use clap::ValueEnum;
 use garad::pictures;
 use garad::progress::Progress;
@@ -139,9 +139,7 @@ fn camera(args: &Args) -> Result<Camera> {
     let Some(path) = &args.calibration else {
         bail!("which camera? give --preset NAME or --calibration FILE");
     };
-    let bytes = std::fs::read(path)
-        .with_context(|| format!("{}: cannot read the calibration", path.display()))?;
-    Ok(Calibration::parse(path, &bytes)?.camera)
+    Ok(Calibration::read(path)?.camera)
 }
 
 fn poses(args: &Args) -> Result<Vec<StampedPose>> {

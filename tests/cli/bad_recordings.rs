@@ -177,3 +177,23 @@ fn ground_truth_is_read_strictly() {
         "{answer:?}"
     );
 }
+
+/// A camera that no one could build, and the numbers it leads to: the map is not written, which is
+/// the error; everything else is.
+#[test]
+fn a_map_that_cannot_be_written_keeps_nothing_else_back() {
+    let bench = Bench::new();
+    bench.replace("camera.txt", "131.25 131.25", "1e300 1e300");
+    let words = ["map.ply: not written", "not finite"];
+    bench.run(&[]).fails_at_last_with(&words);
+    assert!(!bench.out().join("map.ply").exists(), "no map");
+    for name in [
+        "trajectory.txt",
+        "keyframes.txt",
+        "config.toml",
+        "metrics.json",
+        "report.html",
+    ] {
+        assert!(bench.out().join(name).is_file(), "{name}");
+    }
+}

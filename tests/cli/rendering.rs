@@ -207,6 +207,14 @@ fn slips_are_named() {
             &["camera.txt:1: ", "5 numbers"],
         ),
         (&pose, &["--preset", "--calibration"]),
+        (
+            &["--calibration", "none.txt", pose[0], pose[1]],
+            &["none.txt: not found", "a calibration"],
+        ),
+        (
+            &["--calibration", out, "--preset", "fr1"],
+            &["cannot be used with"],
+        ),
     ];
     for (options, words) in cases {
         garad(right.iter().chain(*options)).fails_with(words);

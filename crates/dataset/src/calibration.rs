@@ -22,6 +22,7 @@ use garad_core::Camera;
 use garad_core::camera::Distortion;
 
 use crate::errors::{DatasetError, excerpt};
+use crate::source::read_file;
 use crate::text::{Place, for_each_line, number};
 
 /// Names of the presets, for messages.
@@ -156,7 +157,21 @@ impl Calibration {
         self.depth_max_raw.unwrap_or(u16::MAX)
     }
 
-    /// Reads a calibration file; the format is in the [module's words](self).
+    /// Reads a calibration file.
+    ///
+    /// # Errors
+    /// [`DatasetError::NotFound`], [`DatasetError::Io`], [`DatasetError::TooLarge`], and what
+    /// [`Calibration::parse`] finds.
+    pub fn read(path: &Path) -> Result<Self, DatasetError> {
+        let bytes = read_file(path)?.ok_or_else(|| DatasetError::NotFound {
+            path: path.to_path_buf(),
+            expected: "a calibration file",
+        })?;
+        Self::parse(path, &bytes)
+    }
+
+    /// Reads a calibration from the bytes of its file; the format is in the
+    /// [module's words](self).
     ///
     /// # Errors
     /// [`DatasetError::Line`] for an unknown or repeated key, a missing one (at the last line),

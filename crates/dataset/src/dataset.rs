@@ -320,11 +320,7 @@ fn choose_calibration(
     options: &OpenOptions,
 ) -> Result<Calibration, DatasetError> {
     if let Some(file) = &options.calibration {
-        let bytes = read_file(file)?.ok_or_else(|| DatasetError::NotFound {
-            path: file.clone(),
-            expected: "a calibration file",
-        })?;
-        return Calibration::parse(file, &bytes);
+        return Calibration::read(file);
     }
     if let Some(preset) = options.preset {
         return Ok(preset.calibration());
