@@ -116,6 +116,14 @@ pub const TABLE: &[Tolerance] = &[
     vector("raster_backward.f32.d_opacities", 0.0, 5.7e-5, "as the logits"),
     vector("raster_backward.f32.d_colors", 0.0, 6.5e-5, "as the coefficients"),
     vector("raster_backward.f32.d_depths", 0.0, 6.5e-5, "as the colours: a sum of the same weights"),
+    // losses, in f64
+    abs_rel("losses.value", 0.0, 3e-14, "measured 1e-14 on flat pictures, whose variances are differences of 1e-16 over C2 = 9e-4; else 2e-15"),
+    vector("losses.gradient", 0.0, 1.5e-13, "measured 5e-14 on flat pictures, 3e-14 on a photograph"),
+    abs_rel("losses.logit_gradient", 0.0, 1e-15, "a product of two sigmoids, each to its last digit at both ends"),
+    // losses, in f32
+    abs_rel("losses.f32.value", 2e-6, 0.0, "means of errors of either sign"),
+    abs_rel("losses.f32.value_flat", 2e-5, 0.0, "measured 5e-6: every pixel errs alike, by 6e-8 over C2 = 9e-4 per rounding"),
+    vector("losses.f32.gradient", 0.0, 2e-4, "as the value"),
     // lk: positions in f32 from sums of integers
     abs_rel("lk.xy", 1e-4, 0.0, "an ulp of a coordinate is 3e-5 px; steps end at 1e-2 px in the same order of operations"),
     Tolerance { name: "lk.xy_opencv", class: Class::Banded { tight: 5e-4, share: 1e-2, hard: 1e-2 }, reason: "OpenCV adds its sums in f32 and lane by lane; a step of 0.01 px more or less" },

@@ -3,7 +3,7 @@
 use garad_core::CameraError;
 use thiserror::Error;
 
-/// What is wrong with the input of [`crate::render()`] or [`crate::backward()`].
+/// What is wrong with the input of [`crate::render()`], [`crate::backward()`] or a loss.
 ///
 /// A single Gaussian with a bad number is no error: it is invisible (see [`crate::Projected`]).
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -68,5 +68,17 @@ pub enum RasterError {
     NotThisMap {
         /// Its place in [`crate::Rendered::projected`].
         splat: usize,
+    },
+    /// The weight of SSIM in the photometric loss.
+    #[error("lambda is {value}; expected 0 to 1")]
+    Lambda {
+        /// What was asked for.
+        value: f64,
+    },
+    /// The opacity from which on a depth is judged.
+    #[error("min_opacity is {value}; expected above 0, at most 1")]
+    MinOpacity {
+        /// What was asked for.
+        value: f64,
     },
 }

@@ -9,7 +9,7 @@
 //! ```
 //!
 //! Reading order: `render` → `view` → `covariance`, `color`, `project` → `bin` → `composite`, then
-//! `backward`. Each step's way back stands below it in the same file.
+//! `backward`, [`losses`]. Each step's way back stands below it in the same file.
 //! Formulas are numbered R1, R2, ... and derived in `docs/math.md`. Constants and
 //! cuts are those of the CUDA rasterizer of 3D Gaussian Splatting, so that trained maps look
 //! here as they do elsewhere; what differs is the principal point, which is free, and that
@@ -24,6 +24,7 @@ mod color;
 mod composite;
 mod covariance;
 mod error;
+pub mod losses;
 mod project;
 mod render;
 mod view;

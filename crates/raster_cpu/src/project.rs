@@ -234,7 +234,7 @@ fn camera_point<T: Real>(view: &View<T>, mean: [T; 3]) -> [T; 3] {
 }
 
 /// 1 / (1 + e⁻ˣ).
-fn sigmoid<T: Real>(x: T) -> T {
+pub(crate) fn sigmoid<T: Real>(x: T) -> T {
     T::ONE / (T::ONE + (-x).exp())
 }
 

@@ -1,0 +1,273 @@
+//! The losses against values and complex steps (`tests/golden/gen/losses.py`), differences, laws.
+
+use garad_core::{Image, Label, MaskImage, Par, Real, Rng};
+use garad_golden::{Case, compare::compare, tol};
+use garad_raster::RasterError;
+use garad_raster::losses::{PictureLoss, depth_l1, l1, opacity_penalty, photometric, ssim};
+use proptest::prelude::*;
+
+fn size(case: &Case, name: &str) -> (usize, usize) {
+    let shape = case.input(name).shape();
+    (shape[1], shape[0])
+}
+
+fn picture<T: Real>(case: &Case, name: &str) -> Image<[T; 3]> {
+    let values = case.input(name).f64();
+    let (w, h) = size(case, name);
+    Image::from_fn(w, h, |x, y| {
+        [0, 1, 2].map(|k| T::from_f64(values[3 * (y * w + x) + k]))
+    })
+}
+
+fn plane<T: Real>(case: &Case, name: &str) -> Image<T> {
+    let values = case.input(name).f64();
+    let (w, h) = size(case, name);
+    Image::from_fn(w, h, |x, y| T::from_f64(values[y * w + x]))
+}
+
+fn mask(case: &Case) -> Option<MaskImage> {
+    let tensor = case.try_input("excluded")?;
+    let (w, h) = size(case, "excluded");
+    Image::from_vec(w, h, tensor.u8().to_vec())
+}
+
+/// Every output under the name it has in `case.json`.
+fn outputs<T: Real>(case: &Case) -> Vec<(&'static str, Vec<f64>)> {
+    let mask = mask(case);
+    let excluded = mask.as_ref();
+    let wide = |v: &[T]| v.iter().map(|v| v.to_f64()).collect::<Vec<_>>();
+    let kind = case.param_str("loss");
+    match kind {
+        "l1" | "ssim" | "photometric" => {
+            let (x, y) = (picture::<T>(case, "rendered"), picture(case, "target"));
+            let loss = match kind {
+                "l1" => l1(&x, &y, excluded),
+                "ssim" => ssim(&x, &y, excluded, Par::Seq),
+                _ => photometric(&x, &y, case.param_f64("lambda"), excluded, Par::Seq),
+            }
+            .expect("a loss");
+            let gradient = loss.gradient.data().as_flattened();
+            vec![("value", wide(&[loss.value])), ("gradient", wide(gradient))]
+        }
+        "depth" => {
+            let measured = plane::<f32>(case, "measured");
+            let (depth, opacity) = (plane::<T>(case, "depth"), plane(case, "opacity"));
+            let least = case.param_f64("min_opacity");
+            let loss = depth_l1(&depth, &opacity, &measured, least, excluded).expect("a loss");
+            vec![
+                ("value", wide(&[loss.value])),
+                ("by_depth", wide(loss.depth.data())),
+                ("by_opacity", wide(loss.opacity.data())),
+            ]
+        }
+        "opacity" => {
+            let logits: Vec<T> = case
+                .input("logits")
+                .f64()
+                .into_iter()
+                .map(T::from_f64)
+                .collect();
+            let label = |&d: &u8| {
+                if d == 1 {
+                    Label::Dynamic
+                } else {
+                    Label::Static
+                }
+            };
+            let labels: Vec<Label> = case.input("dynamic").u8().iter().map(label).collect();
+            let loss = opacity_penalty(&logits, &labels).expect("a loss");
+            vec![
+                ("value", wide(&[loss.value])),
+                ("gradient", wide(&loss.opacity_logits)),
+            ]
+        }
+        other => panic!("{}: loss {other}", case.name()),
+    }
+}
+
+#[test]
+fn losses_in_f64() {
+    for case in Case::load_all("losses") {
+        for (name, got) in outputs::<f64>(&case) {
+            case.check(name, &got)
+                .unwrap_or_else(|report| panic!("{report}"));
+        }
+    }
+}
+
+#[test]
+fn losses_in_f32() {
+    for case in Case::load_all("losses") {
+        for (name, got) in outputs::<f32>(&case) {
+            let tolerance = match name {
+                "value" if case.has_flag("flat") => "losses.f32.value_flat",
+                "value" => "losses.f32.value",
+                _ => "losses.f32.gradient",
+            };
+            let tolerance = tol::find(tolerance).expect("in the table");
+            let verdict = compare(case.output(name), &got, tolerance).expect("same count");
+            assert!(verdict.passed, "{} '{name}': {verdict}", case.name());
+        }
+    }
+}
+
+type Picture = Image<[f64; 3]>;
+
+fn noise(seed: u64, width: usize, height: usize) -> Picture {
+    let mut rng = Rng::keyed(seed, &[]);
+    Image::from_fn(width, height, |_, _| [0; 3].map(|_| rng.uniform()))
+}
+
+/// Central differences of a loss by every third pixel of x.
+fn assert_is_derivative(x: &Picture, f: impl Fn(&Picture) -> PictureLoss<f64>) {
+    let gradient = f(x).gradient;
+    let largest = gradient
+        .data()
+        .as_flattened()
+        .iter()
+        .fold(0.0f64, |m, v| m.max(v.abs()));
+    assert!(largest > 1e-5, "there is a slope: {largest}");
+    let h = 1e-5;
+    for i in (0..x.data().len()).step_by(3) {
+        for channel in 0..3 {
+            let at = |shift: f64| {
+                let mut moved = x.clone();
+                moved.data_mut()[i][channel] += shift;
+                f(&moved).value
+            };
+            let slope = (at(h) - at(-h)) / (2.0 * h);
+            let analytic = gradient.data()[i][channel];
+            assert!(
+                (analytic - slope).abs() < 1e-6 * largest,
+                "pixel {i}, channel {channel}: {analytic} against {slope}"
+            );
+        }
+    }
+}
+
+#[test]
+fn gradients_are_derivatives() {
+    let (x, y) = (noise(1, 11, 9), noise(2, 11, 9));
+    let mask = Image::from_fn(
+        11,
+        9,
+        |u, v| if (3..6).contains(&u) && v > 4 { 255 } else { 0 },
+    );
+    for excluded in [None, Some(&mask)] {
+        assert_is_derivative(&x, |x| l1(x, &y, excluded).expect("fits"));
+        assert_is_derivative(&x, |x| ssim(x, &y, excluded, Par::Seq).expect("fits"));
+        assert_is_derivative(&x, |x| {
+            photometric(x, &y, 0.2, excluded, Par::Seq).expect("fits")
+        });
+    }
+}
+
+#[test]
+fn equal_pictures_are_at_the_bottom() {
+    let x = noise(7, 14, 13);
+    let same = ssim(&x, &x, None, Par::Seq).expect("fits");
+    assert!((same.value - 1.0).abs() < 1e-15, "{}", same.value);
+    let slope = same
+        .gradient
+        .data()
+        .as_flattened()
+        .iter()
+        .fold(0.0f64, |m, v| m.max(v.abs()));
+    assert!(slope < 1e-15, "the summit is flat: {slope:e}");
+    let zero = photometric(&x, &x, 0.2, None, Par::Seq).expect("fits");
+    assert!(zero.value.abs() < 1e-15, "{}", zero.value);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(16))]
+
+    /// What is under the mask changes nothing and is asked nothing; threads change no bit.
+    #[test]
+    fn masked_pixels_neither_count_nor_leak(seed in 0u64..1000, w in 1usize..16, h in 1usize..16) {
+        let (x, y) = (noise(seed, w, h), noise(seed + 5000, w, h));
+        let mut rng = Rng::keyed(seed, &[9]);
+        let mask = Image::from_fn(w, h, |_, _| if rng.uniform() < 0.3 { 128u8 } else { 0 });
+        let other = noise(seed + 9000, w, h);
+        let mixed = Image::from_fn(w, h, |u, v| {
+            if mask[(u, v)] == 0 { x[(u, v)] } else { other[(u, v)] }
+        });
+        let loss = photometric(&x, &y, 0.3, Some(&mask), Par::Seq);
+        prop_assert_eq!(&loss, &photometric(&mixed, &y, 0.3, Some(&mask), Par::Seq));
+        prop_assert_eq!(&loss, &photometric(&x, &y, 0.3, Some(&mask), Par::Threads(2)));
+        let loss = loss.expect("fits");
+        for (g, m) in loss.gradient.data().iter().zip(mask.data()) {
+            prop_assert!(*m == 0 || g.iter().all(|v| v.abs() < 1e-300), "{g:?}");
+        }
+    }
+}
+
+#[test]
+fn nothing_judged_is_nothing_asked() {
+    let (x, y) = (noise(1, 6, 4), noise(2, 6, 4));
+    let all = Image::new(6, 4, 255u8);
+    let loss = photometric(&x, &y, 0.2, Some(&all), Par::Seq).expect("fits");
+    assert_eq!(loss.pixels, 0, "judged");
+    assert!(loss.value.abs() < 1e-300, "{}", loss.value);
+    assert!(
+        loss.gradient
+            .data()
+            .as_flattened()
+            .iter()
+            .all(|v| v.abs() < 1e-300),
+        "no pull"
+    );
+}
+
+#[test]
+fn depth_gradients_are_derivatives_and_thin_places_are_left_out() {
+    let depth = Image::from_vec(3, 1, vec![1.2f64, 0.5, 0.02]).expect("3 pixels");
+    let opacity = Image::from_vec(3, 1, vec![0.8, 0.5, 0.01]).expect("3 pixels");
+    let measured = Image::from_vec(3, 1, vec![1.0f32, 1.5, 1.0]).expect("3 pixels");
+    let loss = depth_l1(&depth, &opacity, &measured, 0.1, None).expect("fits");
+    // |1.5 - 1| and |1 - 1.5|; the third is too thin.
+    assert_eq!(loss.pixels, 2, "judged");
+    assert!((loss.value - 0.5).abs() < 1e-15, "{}", loss.value);
+    for (got, want) in loss.depth.data().iter().zip([0.5 / 0.8, -0.5 / 0.5, 0.0]) {
+        assert!((got - want).abs() < 1e-15, "{got} against {want}");
+    }
+    for (got, want) in loss
+        .opacity
+        .data()
+        .iter()
+        .zip([-1.5 * 0.5 / 0.8, 0.5 / 0.5, 0.0])
+    {
+        assert!((got - want).abs() < 1e-15, "{got} against {want}");
+    }
+}
+
+#[test]
+fn what_does_not_fit_is_an_error() {
+    let (x, y) = (noise(1, 6, 4), noise(2, 4, 6));
+    let wrong = |picture| RasterError::SizeMismatch {
+        picture,
+        expected: (6, 4),
+        got: (4, 6),
+    };
+    assert_eq!(l1(&x, &y, None), Err(wrong("target")), "target");
+    let mask = Image::new(4, 6, 0u8);
+    assert_eq!(
+        ssim(&x, &x, Some(&mask), Par::Seq),
+        Err(wrong("excluded")),
+        "mask"
+    );
+    for value in [-0.1, 1.1, f64::NAN] {
+        let lambda = photometric(&x, &x, value, None, Par::Seq);
+        assert!(matches!(lambda, Err(RasterError::Lambda { .. })), "{value}");
+        let (plane, metres) = (Image::new(2, 2, 0.5f64), Image::new(2, 2, 1.0f32));
+        let least = depth_l1(&plane, &plane, &metres, value, None);
+        assert!(
+            matches!(least, Err(RasterError::MinOpacity { .. })),
+            "{value}"
+        );
+    }
+    let short = opacity_penalty(&[0.0f64, 1.0], &[Label::Dynamic]);
+    assert!(
+        matches!(short, Err(RasterError::MapLength { array: "label", .. })),
+        "{short:?}"
+    );
+}
