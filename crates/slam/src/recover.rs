@@ -22,7 +22,7 @@ const AGREE_RATIO: f64 = 0.03;
 const AGREE_FLOOR_M: f64 = 0.02;
 
 /// The motion a_from_b nearest to the pairs (a, b) in least squares (Kabsch 1976):
-/// H = Σ (b - b̄)(a - ā)ᵀ = U S Vᵀ, R = V diag(1, 1, det(V Uᵀ)) Uᵀ, t = ā - R b̄.
+/// H = Σ (b - b̄)(a - ā)ᵀ = U S Vᵀ, R = V diag(1, 1, det(V Uᵀ)) Uᵀ, t = ā - R b̄ (E16).
 ///
 /// `None` for fewer than three pairs or numbers that are not finite.
 #[must_use]

@@ -17,7 +17,7 @@ const RANK_TOLERANCE: f64 = 1e-12;
 /// Points of each view are moved to their centroid and scaled to a mean distance of √2; each pair
 /// gives one row (p̂₂ ⊗ p̂₁) of A, and F̂ minimises ‖A f‖ with ‖f‖ = 1 (the last eigenvector of
 /// AᵀA). Its nearest singular matrix F̂ (I - v vᵀ), v the last right singular vector, goes back
-/// to pixels as F = T₂ᵀ F̂ T₁.
+/// to pixels as F = T₂ᵀ F̂ T₁ (E15).
 ///
 /// The result has ‖F‖ = 1 and its entry of largest magnitude positive. Source: Hartley 1997.
 ///

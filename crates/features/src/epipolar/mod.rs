@@ -2,7 +2,7 @@
 //!
 //! Points are ideal pixels (x, y) of views 1 and 2, homogeneous p = (x, y, 1); everywhere
 //!
-//! p₂ᵀ F p₁ = 0,   F = K₂⁻ᵀ E K₁⁻¹,   E = t^ R,   (R, t) = `second_from_first`.
+//! p₂ᵀ F p₁ = 0,   F = K₂⁻ᵀ E K₁⁻¹,   E = t^ R,   (R, t) = `second_from_first`.        (E15)
 //!
 //! This file makes F from known poses and measures how far a pair of points is from agreeing with
 //! it; [`mod@eight_point`] and [`ransac`] find F from pairs of points alone.
@@ -27,7 +27,7 @@ pub fn essential(second_from_first: &Se3) -> Matrix3<f64> {
     hat(&second_from_first.translation) * second_from_first.rotation.matrix()
 }
 
-/// F = K₂⁻ᵀ t^ R K₁⁻¹ of two calibrated views, for ideal (undistorted) pixels.
+/// F = K₂⁻ᵀ t^ R K₁⁻¹ of two calibrated views, for ideal (undistorted) pixels (E15).
 ///
 /// Source: Hartley & Zisserman 2004, eq. 9.2. Golden: `epipolar/*`.
 ///
@@ -90,7 +90,7 @@ fn ratio(a: f64, b: f64) -> f64 {
 
 /// Distance of each point from the epipolar line of the other, [in view 1, in view 2], pixels:
 ///
-/// d₁ = |p₂ᵀ F p₁| / ‖(Fᵀ p₂)₁,₂‖,   d₂ = |p₂ᵀ F p₁| / ‖(F p₁)₁,₂‖
+/// d₁ = |p₂ᵀ F p₁| / ‖(Fᵀ p₂)₁,₂‖,   d₂ = |p₂ᵀ F p₁| / ‖(F p₁)₁,₂‖                     (E15)
 #[must_use]
 pub fn point_to_line_px(f: &Matrix3<f64>, uv1: &Vector2<f64>, uv2: &Vector2<f64>) -> [f64; 2] {
     let r = Residual::new(f, uv1, uv2);
@@ -109,7 +109,7 @@ pub fn symmetric_distance_px(f: &Matrix3<f64>, uv1: &Vector2<f64>, uv2: &Vector2
 
 /// Sampson's distance squared, the first-order reprojection error, pixels²:
 ///
-/// (p₂ᵀ F p₁)² / (‖(F p₁)₁,₂‖² + ‖(Fᵀ p₂)₁,₂‖²)
+/// (p₂ᵀ F p₁)² / (‖(F p₁)₁,₂‖² + ‖(Fᵀ p₂)₁,₂‖²)                                        (E15)
 #[must_use]
 pub fn sampson_px2(f: &Matrix3<f64>, uv1: &Vector2<f64>, uv2: &Vector2<f64>) -> f64 {
     let r = Residual::new(f, uv1, uv2);

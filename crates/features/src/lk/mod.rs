@@ -3,7 +3,7 @@
 //! On each level, from the coarsest down, the displacement d solves the least-squares problem of
 //! a window W of 21 x 21 pixels around the point (Lucas & Kanade 1981):
 //!
-//! min_d Σ_W (J(x + d) - I(x))²,   G δ = -b,   G = Σ ∇I ∇Iᵀ,   b = Σ (J(x + d) - I(x)) ∇I
+//! min_d Σ_W (J(x + d) - I(x))²,   G δ = -b,   G = Σ ∇I ∇Iᵀ,   b = Σ (J(x + d) - I(x)) ∇I   (E14)
 //!
 //! by repeating d ← d + δ with G of the first picture; the answer, doubled, starts the next level
 //! (Bouguet 2000). Everything is OpenCV's `calcOpticalFlowPyrLK`: bilinear weights of 14 bits,
