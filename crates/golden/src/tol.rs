@@ -124,6 +124,8 @@ pub const TABLE: &[Tolerance] = &[
     abs_rel("losses.f32.value", 2e-6, 0.0, "means of errors of either sign"),
     abs_rel("losses.f32.value_flat", 2e-5, 0.0, "measured 5e-6: every pixel errs alike, by 6e-8 over C2 = 9e-4 per rounding"),
     vector("losses.f32.gradient", 0.0, 2e-4, "as the value"),
+    // adam
+    abs_rel("adam.path", 1e-15, 1e-15, "measured 5e-16: forty steps of 1e-2, each rounded when subtracted"),
     // lk: positions in f32 from sums of integers
     abs_rel("lk.xy", 1e-4, 0.0, "an ulp of a coordinate is 3e-5 px; steps end at 1e-2 px in the same order of operations"),
     Tolerance { name: "lk.xy_opencv", class: Class::Banded { tight: 5e-4, share: 1e-2, hard: 1e-2 }, reason: "OpenCV adds its sums in f32 and lane by lane; a step of 0.01 px more or less" },

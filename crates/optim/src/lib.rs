@@ -3,7 +3,7 @@
 //! Reading order: [`robust`] (how much a residual pulls) → [`lm`] (the loop) → [`dense`] (problems
 //! of few unknowns, as visitors of residual blocks) and [`solve`] (their linear systems) →
 //! [`reprojection`] (the residual of eq. 11) → [`pose`] (the camera alone) → [`bundle`] (cameras and
-//! points, through a Schur complement). [`check`] compares any Jacobian with finite differences.
+//! points, through a Schur complement). [`adam`] walks down gradients instead. [`check`] compares any Jacobian with finite differences.
 //!
 //! # Example
 //! A camera that stands 10 cm beside where it is believed to be, and four points:
@@ -26,6 +26,7 @@
 //! assert!(error.log().norm() < 1e-6 && solution.n_inliers == 4);
 //! ```
 
+pub mod adam;
 pub mod bundle;
 pub mod check;
 pub mod dense;
@@ -37,6 +38,7 @@ pub mod robust;
 mod schur;
 pub mod solve;
 
+pub use adam::{Adam, AdamConfig, sgd};
 pub use bundle::{BundleConfig, BundleObservation, BundleReport, optimise_bundle};
 pub use check::check_jacobian;
 pub use error::OptimError;
