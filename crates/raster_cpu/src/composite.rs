@@ -276,6 +276,7 @@ pub(crate) fn composite_tile_backward<T: Real>(
 ) -> Vec<SplatSums<T>> {
     let width = rect.x1 - rect.x0;
     let columns: Vec<T> = (rect.x0..rect.x1).map(coordinate).collect();
+    let mut row_density = vec![T::ZERO; width];
     let [min_alpha, max_alpha] = [MIN_ALPHA, MAX_ALPHA].map(T::from_f64);
     let deepest = pixels.iter().map(|p| p.last).max().unwrap_or(0);
     let mut sums_of = vec![SplatSums::new(); list.len()];
@@ -293,15 +294,14 @@ pub(crate) fn composite_tile_backward<T: Real>(
                 continue;
             }
             let part = first - rect.x0..end - rect.x0;
-            let row = &mut pixels[(y - rect.y0) * width..][part.clone()];
-            for (pixel, &x) in row.iter_mut().zip(&columns[part]) {
-                if entry >= pixel.last as usize {
-                    continue;
-                }
-                let dx = x - splat.mean_px[0];
-                let density = density(splat, dx, dy);
+            let (xs, densities) = (&columns[part.clone()], &mut row_density[part.clone()]);
+            for (&x, out) in xs.iter().zip(densities.iter_mut()) {
+                *out = density(splat, x - splat.mean_px[0], dy);
+            }
+            let row = &mut pixels[(y - rect.y0) * width..][part];
+            for ((pixel, &x), &density) in row.iter_mut().zip(xs).zip(densities.iter()) {
                 let alpha = max_alpha.min(density);
-                if alpha < min_alpha {
+                if alpha < min_alpha || entry >= pixel.last as usize {
                     continue;
                 }
                 let through = T::ONE - alpha;
@@ -320,7 +320,7 @@ pub(crate) fn composite_tile_backward<T: Real>(
                     continue;
                 }
                 let g = density * d_alpha;
-                let r = dx + splat.shear * dy;
+                let r = x - splat.mean_px[0] + splat.shear * dy;
                 let (gr, gy) = (g * r, g * dy);
                 sums.g += g;
                 sums.r += gr;

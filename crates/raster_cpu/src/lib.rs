@@ -24,6 +24,7 @@ mod color;
 mod composite;
 mod covariance;
 mod error;
+pub mod fast;
 pub mod losses;
 mod project;
 mod render;

@@ -101,11 +101,11 @@ pub(crate) fn project<T: Real>(
 }
 
 /// One Gaussian, in the order of the formulas.
-fn project_one<T: Real>(map: &GaussianMap<T>, i: usize, view: &View<T>) -> Option<Projected<T>> {
+pub(crate) fn project_one<T: Real>(map: &GaussianMap<T>, i: usize, view: &View<T>) -> Option<Projected<T>> {
     // R1: p = R mean + t, (u, v) = (fx x/z + cx, fy y/z + cy).
     let p_cam = camera_point(view, map.means[i]);
     let [x, y, z] = p_cam;
-    if !z.is_finite() || z <= T::from_f64(NEAR_M) {
+    if !is_in_front(z) {
         return None;
     }
     let mean_px = [
@@ -227,8 +227,13 @@ pub(crate) fn project_one_backward<T: Real>(
     })
 }
 
+/// Beyond the near plane. A NaN is not.
+pub(crate) fn is_in_front<T: Real>(z: T) -> bool {
+    z.is_finite() && z > T::from_f64(NEAR_M)
+}
+
 /// R mean + t, metres.
-fn camera_point<T: Real>(view: &View<T>, mean: [T; 3]) -> [T; 3] {
+pub(crate) fn camera_point<T: Real>(view: &View<T>, mean: [T; 3]) -> [T; 3] {
     let (r, t) = (&view.rotation, &view.translation);
     [0, 1, 2].map(|i| r[i][0] * mean[0] + r[i][1] * mean[1] + r[i][2] * mean[2] + t[i])
 }
