@@ -21,5 +21,6 @@ pub mod config_file;
 pub mod output;
 pub mod pictures;
 pub mod progress;
+pub mod render_quality;
 pub mod runner;
 pub mod stopwatch;

@@ -102,6 +102,16 @@ impl Judged {
                 m.threads
             ));
         }
+        if let (Some(psnr), Some(ssim)) = (m.render.psnr_db, m.render.ssim) {
+            lines.push(format!(
+                "render     PSNR {psnr:.2} dB, SSIM {ssim:.4} over all frames, whole picture"
+            ));
+        }
+        if let (Some(psnr), Some(ssim)) = (m.render_static.psnr_db, m.render_static.ssim) {
+            lines.push(format!(
+                "           PSNR {psnr:.2} dB, SSIM {ssim:.4} outside the masks"
+            ));
+        }
         match &self.ate {
             Some(ate) => {
                 let s = &ate.stats;

@@ -153,6 +153,7 @@ pub fn run(
         waiting = Instant::now();
     }
     progress.finish();
+    train(&mut slam, &mut result, options);
     Ok(RunResult {
         trajectory: slam.trajectory(),
         slam,
@@ -164,6 +165,27 @@ pub fn run(
         wall_s: begun.elapsed().as_secs_f64(),
         snapshots: result.snapshots,
     })
+}
+
+/// Trains the map after the last frame. An error leaves the map as it was then, and is named among
+/// what was skipped: the path is not touched by it.
+fn train(slam: &mut Slam, result: &mut Collected, options: &RunOptions) {
+    let iterations = options.config.train.refine;
+    if iterations == 0 {
+        return;
+    }
+    let mut progress = Progress::new("training", iterations, options.quiet);
+    let mut begun = Instant::now();
+    let stopwatch = &mut result.stopwatch;
+    let outcome = slam.refine_map(&mut |step| {
+        stopwatch.record("train", begun.elapsed());
+        begun = Instant::now();
+        progress.step(&format!("loss {:.4} at 1/{}", step.loss, 1 << step.level));
+    });
+    progress.finish();
+    if let Err(error) = outcome {
+        result.skipped.push(error.to_string());
+    }
 }
 
 #[derive(Default)]

@@ -7,12 +7,14 @@ use clap::{Args, Subcommand, ValueEnum};
 use garad_eval::plot::{trajectory_panel, widest_planes};
 use garad_eval::{Alignment, AteOptions, RpeDelta, RpeOptions, Stats, ate, rpe};
 
-use super::{read_poses, say};
+use super::{eval_render, read_poses, say};
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     /// Absolute and relative trajectory error of an estimate.
     Trajectory(TrajectoryArgs),
+    /// PSNR and SSIM of the map over all frames, drawn from their estimated poses.
+    Render(eval_render::Args),
 }
 
 #[derive(Debug, Args)]
@@ -51,6 +53,7 @@ enum Align {
 pub(crate) fn run(command: &Command) -> Result<()> {
     match command {
         Command::Trajectory(args) => trajectory(args),
+        Command::Render(args) => eval_render::run(args),
     }
 }
 

@@ -2,6 +2,7 @@
 
 pub(crate) mod demo;
 pub(crate) mod eval;
+pub(crate) mod eval_render;
 pub(crate) mod render;
 pub(crate) mod run;
 pub(crate) mod synth;
@@ -30,6 +31,9 @@ pub(crate) struct CommonArgs {
     /// Configuration file; keys that are not given keep their defaults.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
+    /// Train the map for this many iterations after the last frame.
+    #[arg(long, value_name = "N")]
+    pub(crate) refine: Option<usize>,
     /// No progress, only the result.
     #[arg(long)]
     pub(crate) quiet: bool,
@@ -49,10 +53,13 @@ fn threads() -> RangedU64ValueParser<usize> {
 impl CommonArgs {
     /// Options for the runner.
     pub(crate) fn run_options(&self, strict: bool) -> Result<RunOptions> {
-        let config = match &self.config {
+        let mut config = match &self.config {
             Some(path) => garad::config_file::read(path)?,
             None => garad_slam::Config::default(),
         };
+        if let Some(iterations) = self.refine {
+            config.train.refine = iterations;
+        }
         Ok(RunOptions {
             config,
             threads: self.threads,

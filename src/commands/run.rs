@@ -1,12 +1,14 @@
 //! `garad run`: a recording tracked, mapped and judged.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use garad::output::{self, Judged};
 use garad::progress::note;
+use garad::render_quality;
 use garad::runner::{self, SourceFrame};
+use garad_core::Par;
 use garad_dataset::{Dataset, Frame, OpenOptions, Preset, bonn_camera_from_marker};
 
 use super::{CommonArgs, make_folder, say};
@@ -29,8 +31,9 @@ pub(crate) struct Args {
     ground_truth: GroundTruth,
 }
 
+/// Which frames of a recording, seen by which camera.
 #[derive(Debug, clap::Args)]
-struct InputArgs {
+pub(crate) struct InputArgs {
     /// Calibration by name: freiburg1, freiburg2, freiburg3, bonn.
     #[arg(long)]
     preset: Option<Preset>,
@@ -48,6 +51,20 @@ struct InputArgs {
     strict: bool,
 }
 
+impl InputArgs {
+    pub(crate) fn open(&self, path: &Path) -> Result<Dataset> {
+        let options = OpenOptions {
+            preset: self.preset,
+            calibration: self.calibration.clone(),
+            max_frames: self.max_frames,
+            first_frame: self.first_frame,
+            strict: self.strict,
+            ..OpenOptions::default()
+        };
+        Ok(Dataset::open(path, &options)?)
+    }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum GroundTruth {
     /// As recorded.
@@ -63,15 +80,7 @@ const SKIPPED_SHOWN: usize = 5;
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     let run_options = args.common.run_options(args.input.strict)?;
-    let options = OpenOptions {
-        preset: args.input.preset,
-        calibration: args.input.calibration.clone(),
-        max_frames: args.input.max_frames,
-        first_frame: args.input.first_frame,
-        strict: args.input.strict,
-        ..OpenOptions::default()
-    };
-    let dataset = Dataset::open(&args.dataset, &options)?;
+    let dataset = args.input.open(&args.dataset)?;
     if !args.common.quiet {
         say(&format!(
             "{}: {} frames, camera from {}",
@@ -86,7 +95,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let masks = args
         .oracle_labels
         .as_ref()
-        .map(|dir| find_masks(args, dir))
+        .map(|dir| find_masks(&args.dataset, dir))
         .transpose()?;
     if args.ground_truth == GroundTruth::Camera && dataset.preset() != Some(Preset::Bonn) {
         bail!(
@@ -99,22 +108,6 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         GroundTruth::Camera => bonn_camera_from_marker(raw),
     });
 
-    let frames = dataset.frames(PREFETCH).map(|frame| {
-        let frame = frame?;
-        let mask = match &masks {
-            Some(dir) => Some(dataset.read_mask(dir, frame.id.index())?),
-            None => None,
-        };
-        let Frame {
-            t_s, rgb, depth, ..
-        } = frame;
-        Ok(SourceFrame {
-            t_s,
-            rgb,
-            depth,
-            mask,
-        })
-    });
     let out = args
         .common
         .out
@@ -123,7 +116,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     make_folder(&out)?;
     let result = runner::run(
         &dataset.calibration().camera,
-        frames,
+        frames(&dataset, masks.as_deref()),
         dataset.len(),
         &run_options,
     )?;
@@ -133,7 +126,19 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         (GroundTruth::Raw, Some(Preset::Bonn)) => "raw ground truth (marker)",
         (GroundTruth::Raw, _) => "raw ground truth",
     };
-    let judged = Judged::new(dataset.name(), &result, ground_truth.as_deref(), protocol);
+    let mut judged = Judged::new(dataset.name(), &result, ground_truth.as_deref(), protocol);
+    if run_options.config.train.refine > 0 {
+        let quality = render_quality::judge(
+            result.slam.gaussians(),
+            result.slam.camera(),
+            &result.trajectory,
+            frames(&dataset, masks.as_deref()),
+            Par::new(run_options.threads),
+            run_options.quiet,
+        )?;
+        judged.metrics.render = quality.all;
+        judged.metrics.render_static = quality.outside_mask;
+    }
     output::write(&out, &result, &judged, dataset.warnings())?;
     if result.stopped_by.is_none() {
         warn_of_skipped(&result.skipped);
@@ -164,8 +169,32 @@ fn warn_of_skipped(skipped: &[String]) {
     }
 }
 
-fn find_masks(args: &Args, dir: &std::path::Path) -> Result<PathBuf> {
-    let candidates = [dir.to_path_buf(), args.dataset.join(dir)];
+/// A recording's frames, decoded ahead, with their masks if there is a folder of them.
+pub(crate) fn frames<'a>(
+    dataset: &'a Dataset,
+    masks: Option<&'a Path>,
+) -> impl Iterator<Item = Result<SourceFrame>> + 'a {
+    dataset.frames(PREFETCH).map(move |frame| {
+        let frame = frame?;
+        let mask = match masks {
+            Some(dir) => Some(dataset.read_mask(dir, frame.id.index())?),
+            None => None,
+        };
+        let Frame {
+            t_s, rgb, depth, ..
+        } = frame;
+        Ok(SourceFrame {
+            t_s,
+            rgb,
+            depth,
+            mask,
+        })
+    })
+}
+
+/// The folder of masks, here or inside the recording.
+pub(crate) fn find_masks(dataset: &Path, dir: &Path) -> Result<PathBuf> {
+    let candidates = [dir.to_path_buf(), dataset.join(dir)];
     candidates
         .iter()
         .find(|d| d.is_dir())
@@ -174,7 +203,7 @@ fn find_masks(args: &Args, dir: &std::path::Path) -> Result<PathBuf> {
             format!(
                 "{}: no such folder; expected one of masks, here or inside {}",
                 dir.display(),
-                args.dataset.display()
+                dataset.display()
             )
         })
 }

@@ -263,7 +263,10 @@ impl Distortion {
             let error = self.distort(&xy) - distorted;
             let jacobian = self.distort_jacobian(&xy);
             let det = jacobian.m11 * jacobian.m22 - jacobian.m12 * jacobian.m21;
-            if det <= 0.0 || !det.is_finite() {
+            // Beyond a fold one eigenvalue is negative; beyond the next both are, and the
+            // determinant is positive again.
+            let folded = det <= 0.0 || jacobian.trace() <= 0.0;
+            if folded || !det.is_finite() {
                 return None;
             }
             let step = Vector2::new(
@@ -367,6 +370,11 @@ mod tests {
             fold.undistort(&Vector2::new(0.6, 0.0)),
             None,
             "beyond the fold"
+        );
+        assert_eq!(
+            fold.undistort(&Vector2::new(4.8, 0.0)),
+            None,
+            "far beyond it, where the picture is mirrored"
         );
         assert!(
             fold.undistort(&Vector2::new(0.3, 0.0)).is_some(),

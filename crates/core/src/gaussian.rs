@@ -128,6 +128,25 @@ impl<T: Real> GaussianMap<T> {
         index
     }
 
+    /// Keeps the Gaussians that `keep` names, in their order. Parents are rows of before and are
+    /// forgotten.
+    pub fn retain(&mut self, keep: impl Fn(usize) -> bool) {
+        let kept: Vec<usize> = (0..self.len()).filter(|&i| keep(i)).collect();
+        let k = self.coefficients();
+        self.means = kept.iter().map(|&i| self.means[i]).collect();
+        self.log_scales = kept.iter().map(|&i| self.log_scales[i]).collect();
+        self.quaternions = kept.iter().map(|&i| self.quaternions[i]).collect();
+        self.opacity_logits = kept.iter().map(|&i| self.opacity_logits[i]).collect();
+        self.sh = kept
+            .iter()
+            .flat_map(|&i| self.sh[i * k..(i + 1) * k].iter().copied())
+            .collect();
+        self.landmark = kept.iter().map(|&i| self.landmark[i]).collect();
+        self.parent = vec![None; kept.len()];
+        self.born = kept.iter().map(|&i| self.born[i]).collect();
+        self.label = kept.iter().map(|&i| self.label[i]).collect();
+    }
+
     /// Every array has `len()` rows and every number is finite; what stages check in debug
     /// builds. The answer names the first offence.
     ///
@@ -216,6 +235,24 @@ mod tests {
         );
         let color = crate::sh::color(3, map.sh_of(0), [0.0, 0.0, 1.0]);
         assert!((color[2] - 0.9).abs() < 1e-15, "colour {color:?}");
+    }
+
+    #[test]
+    fn retain_keeps_rows_together() {
+        let mut map = GaussianMap::<f64>::new(1);
+        for i in 0..4u32 {
+            let mut new = one();
+            new.mean[0] = f64::from(i);
+            new.color[0] = 0.1 * f64::from(i);
+            new.born = KeyframeId(i);
+            map.push(&new);
+        }
+        map.retain(|i| i % 2 == 1);
+        map.validate().expect("consistent");
+        assert_eq!(map.born, [KeyframeId(1), KeyframeId(3)], "in their order");
+        assert!((map.means[1][0] - 3.0).abs() < 1e-15, "mean of the last");
+        let color = crate::sh::color(1, map.sh_of(1), [0.0, 0.0, 1.0]);
+        assert!((color[0] - 0.3).abs() < 1e-15, "colour of the last");
     }
 
     #[test]

@@ -27,7 +27,7 @@ pub use depth::{DepthL1, depth_l1};
 pub use error::EvalError;
 pub use image_metrics::{PictureQuality, compare_pictures, psnr_db, ssim, ssim_map};
 pub use labels::Confusion;
-pub use metrics::{Metrics, StageTiming};
+pub use metrics::{Metrics, RenderMetrics, StageTiming};
 pub use report::{FrameState, ReportData, Strip};
 pub use rpe::{Rpe, RpeDelta, RpeOptions, rpe};
 pub use stats::Stats;

@@ -126,7 +126,7 @@ impl<const N: usize> Visitor<N> for NormalEquations<N> {
 
 /// A diagonal element is never taken for less than this part of the largest one: an unknown that
 /// no residual sees stays where it is and does not make the system singular.
-const SMALLEST_DIAGONAL: f64 = 1e-24;
+pub(crate) const SMALLEST_DIAGONAL: f64 = 1e-24;
 
 impl<const N: usize> System for NormalEquations<N> {
     type Step = SVector<f64, N>;

@@ -12,8 +12,9 @@
 //! What is left is a dense system of six unknowns per free pose. Damping adds λ diag to U and V
 //! first. Source: Triggs et al., *Bundle adjustment: a modern synthesis*, 2000, sec. 6.1.
 
-use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 
+use crate::dense::SMALLEST_DIAGONAL;
 use crate::lm::{Damped, System};
 use crate::solve::{ldlt_factor, ldlt_inverse, ldlt_substitute};
 
@@ -87,13 +88,20 @@ impl<'a> SchurSystem<'a> {
         self.structure.start[l]..self.structure.start[l + 1]
     }
 
-    /// (V + λ diag V)⁻¹ per point; 0 for a point that nobody sees, which then stays.
-    fn inverse_points(&self, lambda: f64) -> Option<Vec<Matrix3<f64>>> {
+    /// What the diagonal is never taken for less than, see [`SMALLEST_DIAGONAL`].
+    fn floor(&self) -> f64 {
+        let poses = self.u.iter().map(|u| u.diagonal().amax());
+        let points = self.v.iter().map(|v| v.diagonal().amax());
+        SMALLEST_DIAGONAL * poses.chain(points).fold(0.0, f64::max)
+    }
+
+    /// (V + λD)⁻¹ per point; 0 for a point that nobody sees, which then stays.
+    fn inverse_points(&self, damping: Damping) -> Option<Vec<Matrix3<f64>>> {
         self.v
             .iter()
             .map(|v| {
                 if v.diagonal().amax() > 0.0 {
-                    ldlt_inverse(&damp(v, lambda)).ok()
+                    ldlt_inverse(&damping.damp(v)).ok()
                 } else {
                     Some(Matrix3::zeros())
                 }
@@ -102,11 +110,11 @@ impl<'a> SchurSystem<'a> {
     }
 
     /// The reduced system of the poses: its matrix, row by row, lower triangle; its right side.
-    fn reduce(&self, lambda: f64, v_inverse: &[Matrix3<f64>]) -> (Vec<f64>, Vec<f64>) {
+    fn reduce(&self, damping: Damping, v_inverse: &[Matrix3<f64>]) -> (Vec<f64>, Vec<f64>) {
         let n = 6 * self.structure.poses;
         let (mut matrix, mut right) = (vec![0.0; n * n], vec![0.0; n]);
         for (p, u) in self.u.iter().enumerate() {
-            subtract_block(&mut matrix, n, (p, p), &-damp(u, lambda));
+            subtract_block(&mut matrix, n, (p, p), &-damping.damp(u));
             subtract(&mut right, p, &self.pose_gradient[p]);
         }
         for (l, inverse) in v_inverse.iter().enumerate() {
@@ -145,13 +153,13 @@ impl<'a> SchurSystem<'a> {
     }
 
     /// ½ hᵀ(λDh - g), E10.
-    fn model_decrease(&self, lambda: f64, step: &BundleStep) -> f64 {
+    fn model_decrease(&self, damping: Damping, step: &BundleStep) -> f64 {
         let mut sum = 0.0;
         for ((h, u), g) in step.poses.iter().zip(&self.u).zip(&self.pose_gradient) {
-            sum += h.dot(&(h.component_mul(&u.diagonal()) * lambda - g));
+            sum += h.dot(&(h.component_mul(&damping.diagonal(u)) - g));
         }
         for ((h, v), g) in step.points.iter().zip(&self.v).zip(&self.point_gradient) {
-            sum += h.dot(&(h.component_mul(&v.diagonal()) * lambda - g));
+            sum += h.dot(&(h.component_mul(&damping.diagonal(v)) - g));
         }
         0.5 * sum
     }
@@ -177,8 +185,12 @@ impl System for SchurSystem<'_> {
     }
 
     fn solve(&self, lambda: f64) -> Option<Damped<BundleStep>> {
-        let v_inverse = self.inverse_points(lambda)?;
-        let (mut matrix, mut right) = self.reduce(lambda, &v_inverse);
+        let damping = Damping {
+            lambda,
+            floor: self.floor(),
+        };
+        let v_inverse = self.inverse_points(damping)?;
+        let (mut matrix, mut right) = self.reduce(damping, &v_inverse);
         ldlt_factor(&mut matrix, right.len()).ok()?;
         ldlt_substitute(&matrix, &mut right);
         let (blocks, _) = right.as_chunks::<6>();
@@ -186,19 +198,29 @@ impl System for SchurSystem<'_> {
         let points = self.substitute(&v_inverse, &poses);
         let step = BundleStep { poses, points };
         Some(Damped {
-            model_decrease: self.model_decrease(lambda, &step),
+            model_decrease: self.model_decrease(damping, &step),
             step,
         })
     }
 }
 
-/// A + λ diag A.
-fn damp<const N: usize>(a: &SMatrix<f64, N, N>, lambda: f64) -> SMatrix<f64, N, N> {
-    let mut damped = *a;
-    for i in 0..N {
-        damped[(i, i)] *= 1.0 + lambda;
+/// λ and the floor of D = max(diag, floor).
+#[derive(Debug, Clone, Copy)]
+struct Damping {
+    lambda: f64,
+    floor: f64,
+}
+
+impl Damping {
+    /// The diagonal of λD for a block.
+    fn diagonal<const N: usize>(self, a: &SMatrix<f64, N, N>) -> SVector<f64, N> {
+        a.diagonal().map(|d| self.lambda * d.max(self.floor))
     }
-    damped
+
+    /// A + λD.
+    fn damp<const N: usize>(self, a: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
+        a + SMatrix::from_diagonal(&self.diagonal(a))
+    }
 }
 
 /// Block (row, column) of an n x n matrix stored row by row, minus a block.
@@ -258,11 +280,13 @@ mod tests {
         let system = random_system(&structure);
         for lambda in [1e-6, 0.1, 10.0] {
             let step = system.solve(lambda).expect("positive definite").step;
+            let floor = system.floor();
+            let damping = Damping { lambda, floor };
             let mut poses: Vec<_> = (0..2)
-                .map(|p| damp(&system.u[p], lambda) * step.poses[p] + system.pose_gradient[p])
+                .map(|p| damping.damp(&system.u[p]) * step.poses[p] + system.pose_gradient[p])
                 .collect();
             let mut points: Vec<_> = (0..3)
-                .map(|l| damp(&system.v[l], lambda) * step.points[l] + system.point_gradient[l])
+                .map(|l| damping.damp(&system.v[l]) * step.points[l] + system.point_gradient[l])
                 .collect();
             for l in 0..3 {
                 for i in system.observations(l) {

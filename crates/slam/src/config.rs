@@ -22,6 +22,8 @@ pub struct Config {
     pub local_ba: LocalBaConfig,
     /// Gaussians from depth.
     pub seed: SeedConfig,
+    /// Training of the map.
+    pub train: TrainConfig,
     /// What labels do to features.
     pub labels: LabelConfig,
 }
@@ -276,6 +278,68 @@ impl Default for SeedConfig {
     }
 }
 
+/// How the map learns the pictures (paper eq. 12, 13, 16).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Iterations after the last frame; 0 keeps the map as seeded.
+    pub refine: usize,
+    /// Uses of a keyframe at 1/4 and again at 1/2 of its size, before it is used whole.
+    pub uses_per_level: usize,
+    /// Weight of the photometric loss (eq. 12).
+    pub lambda_photometric: f64,
+    /// Weight of the penalty on dynamic Gaussians (eq. 12).
+    pub lambda_dynamic: f64,
+    /// Share of 1 - SSIM in the photometric loss (eq. 13).
+    pub lambda_ssim: f64,
+    /// Gaussians less opaque than this at the end are dropped.
+    pub min_opacity: f64,
+    /// Step sizes of Adam.
+    pub rates: RateConfig,
+}
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        Self {
+            refine: 0,
+            uses_per_level: 8,
+            lambda_photometric: 0.8,
+            lambda_dynamic: 0.2,
+            lambda_ssim: 0.2,
+            min_opacity: 0.005,
+            rates: RateConfig::default(),
+        }
+    }
+}
+
+/// Step sizes of Adam per kind of parameter, those of 3D Gaussian Splatting.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RateConfig {
+    /// Means, times the extent of the camera's path (1.1 times its radius, at least a metre).
+    pub mean: f64,
+    /// Log-scales.
+    pub log_scale: f64,
+    /// Quaternions.
+    pub quaternion: f64,
+    /// Opacity logits.
+    pub opacity_logit: f64,
+    /// Spherical harmonics.
+    pub sh: f64,
+}
+
+impl Default for RateConfig {
+    fn default() -> Self {
+        Self {
+            mean: 3.2e-4,
+            log_scale: 0.005,
+            quaternion: 0.001,
+            opacity_logit: 0.05,
+            sh: 2.5e-3,
+        }
+    }
+}
+
 /// What a mask of moving things does.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -330,6 +394,8 @@ impl Config {
              inside(0.0, t.disparity_sigma_px, f64::INFINITY), positive),
             ("tracking.motion_radius_px", t.motion_radius_px,
              inside(0.0, t.motion_radius_px, 1e4), "a number in (0, 10000)"),
+            ("train.lambda_ssim", self.train.lambda_ssim,
+             (0.0..=1.0).contains(&self.train.lambda_ssim), "a number in [0, 1]"),
             ("keyframes.max_gap", self.keyframes.max_gap as f64, self.keyframes.max_gap > 0, "at least 1"),
             ("seed.stride_px", s.stride_px as f64, s.stride_px > 0, "at least 1"),
             ("seed.footprint", s.footprint, inside(0.0, s.footprint, f64::INFINITY), positive),

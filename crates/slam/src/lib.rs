@@ -23,6 +23,7 @@ pub mod refine;
 pub mod seed;
 pub mod system;
 pub mod tracker;
+pub mod train;
 
 pub use config::{Config, ConfigError};
 pub use observer::{Observer, Silent, Stage};

@@ -24,7 +24,8 @@ const AGREE_FLOOR_M: f64 = 0.02;
 /// The motion a_from_b nearest to the pairs (a, b) in least squares (Kabsch 1976):
 /// H = Σ (b - b̄)(a - ā)ᵀ = U S Vᵀ, R = V diag(1, 1, det(V Uᵀ)) Uᵀ, t = ā - R b̄ (E16).
 ///
-/// `None` for fewer than three pairs or numbers that are not finite.
+/// `None` for fewer than three pairs or numbers that are not finite. Collinear pairs leave the turn
+/// about their line open: one of the many motions is returned.
 #[must_use]
 pub fn rigid_from_pairs(pairs: &[(Vector3<f64>, Vector3<f64>)]) -> Option<Se3> {
     if pairs.len() < 3 {

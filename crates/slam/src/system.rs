@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 
 use garad_core::{
     Camera, CameraError, DepthImage, FrameId, GaussianMap, KeyframeId, Label, LandmarkId,
-    MaskImage, Par, RgbImage, Se3, StampedPose,
+    MaskImage, Par, Real, RgbImage, Se3, StampedPose,
 };
 use garad_features::{FeatureError, LkPyramid, OrbConfig, OrbExtractor};
+use nalgebra::Vector3;
 use thiserror::Error;
 
 use crate::config::{Config, ConfigError};
@@ -15,6 +16,7 @@ use crate::map::Map;
 use crate::observer::{Observer, Stage};
 use crate::seed::{Picture, seed_from_depth};
 use crate::tracker::TrackingState;
+use crate::train::{TrainError, TrainStep, Trainer, TrainingView};
 
 /// One picture of the recording.
 #[derive(Debug, Clone, Copy)]
@@ -74,6 +76,9 @@ pub enum SlamError {
         /// The calibrated size.
         expected: (usize, usize),
     },
+    /// The map could not be drawn or trained.
+    #[error("training: {0}")]
+    Train(#[from] TrainError),
     /// Features could not be found.
     #[error("frame {frame}: {source}")]
     Features {
@@ -114,6 +119,8 @@ pub struct Slam {
     recovered_at: Option<FrameId>,
     next_frame: FrameId,
     records: Vec<Record>,
+    /// Pictures of keyframes, if the map will be trained on them.
+    pictures: Vec<(KeyframeId, RgbImage, Option<MaskImage>)>,
     pub(crate) par: Par,
 }
 
@@ -171,6 +178,7 @@ impl Slam {
             recovered_at: None,
             next_frame: FrameId(0),
             records: Vec::new(),
+            pictures: Vec::new(),
             par,
         })
     }
@@ -277,6 +285,56 @@ impl Slam {
                 world_from_camera: k.camera_from_world.inverse(),
             })
             .collect()
+    }
+
+    /// Trains the map on the keyframes' pictures for `config.train.refine` iterations, after the
+    /// last frame; `on_step` is told of each. Gaussians that have faded are dropped.
+    ///
+    /// # Errors
+    /// [`SlamError::Train`]; the map is then as it was after the last good iteration.
+    pub fn refine_map(&mut self, on_step: &mut dyn FnMut(&TrainStep)) -> Result<(), SlamError> {
+        let views = std::mem::take(&mut self.pictures)
+            .into_iter()
+            .map(|(id, rgb, mask)| {
+                let dilate_px = self.config.labels.dilate_px;
+                TrainingView::new(id, &self.camera, &rgb, mask.as_ref(), dilate_px)
+            })
+            .collect();
+        let config = &self.config.train;
+        let mut trainer = Trainer::new(views, &self.gaussians, self.extent_m(), self.seed)
+            .map_err(TrainError::from)?;
+        for _ in 0..config.refine {
+            let pose_of = |k: KeyframeId| self.map.keyframe(k).camera_from_world;
+            match trainer.step(&mut self.gaussians, pose_of, config, self.par)? {
+                Some(step) => on_step(&step),
+                None => break,
+            }
+        }
+        if config.refine > 0 {
+            #[allow(clippy::cast_possible_truncation, reason = "the map is f32 by design")]
+            let faded = (config.min_opacity / (1.0 - config.min_opacity)) as f32;
+            let keep: Vec<bool> = self
+                .gaussians
+                .opacity_logits
+                .iter()
+                .map(|l| *l >= Real::ln(faded))
+                .collect();
+            self.gaussians.retain(|i| keep[i]);
+        }
+        Ok(())
+    }
+
+    /// Extent of the camera's path: 1.1 times the largest distance of a keyframe from their mean,
+    /// at least a metre.
+    fn extent_m(&self) -> f64 {
+        let centers: Vec<_> = self.map.keyframes().iter().map(Frame::center).collect();
+        let n = centers.len().max(1) as f64;
+        let mean = centers.iter().fold(Vector3::zeros(), |sum, c| sum + c / n);
+        let radius = centers
+            .iter()
+            .map(|c| (c - mean).norm())
+            .fold(0.0, f64::max);
+        (1.1 * radius).max(1.0)
     }
 
     /// Landmarks and keyframes.
@@ -426,6 +484,10 @@ impl Slam {
                 depth: input.depth,
                 mask: input.mask,
             };
+            if self.config.train.refine > 0 {
+                self.pictures
+                    .push((id, input.rgb.clone(), input.mask.cloned()));
+            }
             let pose = self.map.keyframe(id).camera_from_world;
             let added = seed_from_depth(
                 &mut self.gaussians,

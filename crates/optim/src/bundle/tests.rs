@@ -97,6 +97,23 @@ fn exact_observations_give_the_exact_bundle() {
     }
 }
 
+/// A free pose without a single observation has no equation; the others are still solved.
+#[test]
+fn a_pose_that_sees_nothing_does_not_stop_the_others() {
+    let mut scene = scene(5, 30);
+    scene.observations.retain(|o| o.pose != 4);
+    let unseen = scene.start.poses[4];
+    let report = adjust(&mut scene);
+    assert!(report.report.cost < 1e-3, "{report:?}");
+    assert!(
+        (scene.start.poses[4] * unseen.inverse()).log().norm() < 1e-12,
+        "it stays"
+    );
+    for (found, truth) in scene.start.poses[..4].iter().zip(&scene.truth.poses) {
+        assert!((*found * truth.inverse()).log().norm() < 1e-3, "{found:?}");
+    }
+}
+
 /// The assembled gradient is the derivative of the cost through the step, for every unknown.
 #[test]
 fn gradient_is_the_derivative_of_the_cost() {

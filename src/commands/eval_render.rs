@@ -1,0 +1,71 @@
+//! `garad eval render`: how much a finished map looks like its recording.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use garad::render_quality;
+use garad_core::Par;
+use garad_dataset::write_bytes_atomically;
+use garad_eval::{Metrics, RenderMetrics};
+
+use super::run::{InputArgs, find_masks, frames};
+use super::{read_poses, say};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// What `garad run` wrote: map.ply, trajectory.txt, metrics.json.
+    out: PathBuf,
+    /// The recording it ran on.
+    dataset: PathBuf,
+    #[command(flatten)]
+    input: InputArgs,
+    /// Masks (255 moving): also judges what lies outside them.
+    #[arg(long, value_name = "DIR")]
+    masks: Option<PathBuf>,
+    /// Threads.
+    #[arg(long, default_value_t = super::default_threads())]
+    threads: usize,
+    /// No progress.
+    #[arg(long)]
+    quiet: bool,
+}
+
+pub(crate) fn run(args: &Args) -> Result<()> {
+    let map = garad_dataset::read_ply(&args.out.join("map.ply"))?;
+    let trajectory = read_poses(&args.out.join("trajectory.txt"))?;
+    let dataset = args.input.open(&args.dataset)?;
+    let masks = args
+        .masks
+        .as_ref()
+        .map(|dir| find_masks(&args.dataset, dir))
+        .transpose()?;
+    let quality = render_quality::judge(
+        &map,
+        &dataset.calibration().camera,
+        &trajectory,
+        frames(&dataset, masks.as_deref()),
+        Par::new(args.threads),
+        args.quiet,
+    )?;
+    let row = |m: &RenderMetrics| match (m.psnr_db, m.ssim) {
+        (Some(psnr), Some(ssim)) => format!("PSNR {psnr:.2} dB  SSIM {ssim:.4}"),
+        _ => "cannot be judged".to_owned(),
+    };
+    say(&format!(
+        "protocol       means over {} frames at estimated poses, static Gaussians",
+        quality.frames
+    ))?;
+    say(&format!("whole picture  {}", row(&quality.all)))?;
+    if masks.is_some() {
+        say(&format!("outside masks  {}", row(&quality.outside_mask)))?;
+    }
+
+    let path = args.out.join("metrics.json");
+    if let Ok(text) = std::fs::read_to_string(&path) {
+        let mut metrics = Metrics::from_json(&text).with_context(|| path.display().to_string())?;
+        metrics.render = quality.all;
+        metrics.render_static = quality.outside_mask;
+        write_bytes_atomically(&path, metrics.to_json().as_bytes())?;
+    }
+    Ok(())
+}

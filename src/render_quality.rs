@@ -1,0 +1,141 @@
+//! How much the map looks like the recording: every frame against the render from its pose.
+
+use anyhow::Result;
+use garad_core::{Camera, Distortion, GaussianMap, Image, Par, RgbImage, StampedPose};
+use garad_eval::{RenderMetrics, compare_pictures};
+use garad_raster::{Include, RenderOptions, render};
+use nalgebra::Vector2;
+
+use crate::progress::Progress;
+use crate::runner::SourceFrame;
+
+/// Means over frames.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RenderQuality {
+    /// Whole picture.
+    pub all: RenderMetrics,
+    /// Outside what moves (255) or is unknown (128); only frames with a mask count.
+    pub outside_mask: RenderMetrics,
+    /// Frames judged.
+    pub frames: usize,
+}
+
+/// PSNR and SSIM of every frame that has a pose, static Gaussians only, means over frames.
+///
+/// Pictures of a distorted camera are undistorted first, to the nearest pixel. Frames that cannot
+/// be read count no more than frames without a pose.
+///
+/// # Errors
+/// If the map cannot be drawn.
+pub fn judge(
+    map: &GaussianMap,
+    camera: &Camera,
+    trajectory: &[StampedPose],
+    frames: impl Iterator<Item = Result<SourceFrame>>,
+    par: Par,
+    quiet: bool,
+) -> Result<RenderQuality> {
+    let pinhole = Camera {
+        distortion: Distortion::default(),
+        ..*camera
+    };
+    let options = RenderOptions {
+        include: Include::StaticOnly,
+        ..RenderOptions::default()
+    };
+    let (mut all, mut outside) = (Sums::default(), Sums::default());
+    let mut progress = Progress::new("judging", trajectory.len(), quiet);
+    for frame in frames.flatten() {
+        let Some(pose) = pose_at(trajectory, frame.t_s) else {
+            continue;
+        };
+        let camera_from_world = pose.world_from_camera.inverse();
+        let rendered = render(map, &pinhole, &camera_from_world, &options, par)?;
+        let color = crate::pictures::color_picture(&rendered);
+        let truth = undistorted(camera, &frame.rgb);
+        all.add(compare_pictures(&color, &truth, None, par)?);
+        if let Some(mask) = &frame.mask
+            && let Ok(quality) = compare_pictures(&color, &truth, Some(mask), par)
+        {
+            outside.add(quality);
+        }
+        progress.step("");
+    }
+    progress.finish();
+    Ok(RenderQuality {
+        all: all.mean(),
+        outside_mask: outside.mean(),
+        frames: all.count,
+    })
+}
+
+/// The pose of this very time stamp, to the microsecond that trajectory files hold.
+fn pose_at(trajectory: &[StampedPose], t_s: f64) -> Option<&StampedPose> {
+    let first = trajectory.partition_point(|p| p.t_s < t_s - 1e-6);
+    trajectory
+        .get(first)
+        .filter(|p| (p.t_s - t_s).abs() <= 1e-6)
+}
+
+/// What a pinhole would have seen, nearest pixel; outside the picture its rim is repeated.
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "float to integer saturates, and the result is cut to the picture"
+)]
+fn undistorted(camera: &Camera, rgb: &RgbImage) -> RgbImage {
+    if camera.distortion.is_none() {
+        return rgb.clone();
+    }
+    let nearest = |c: f64, last: usize| ((c + 0.5) as usize).min(last);
+    Image::from_fn(rgb.width(), rgb.height(), |x, y| {
+        let at = camera.distort_pixel(&Vector2::new(x as f64, y as f64));
+        rgb[(
+            nearest(at.x, rgb.width() - 1),
+            nearest(at.y, rgb.height() - 1),
+        )]
+    })
+}
+
+#[derive(Default)]
+struct Sums {
+    psnr_db: f64,
+    ssim: f64,
+    count: usize,
+}
+
+impl Sums {
+    fn add(&mut self, quality: garad_eval::PictureQuality) {
+        // Equal pictures have no finite PSNR; 100 dB is beyond any 8-bit difference.
+        self.psnr_db += quality.psnr_db.min(100.0);
+        self.ssim += quality.ssim;
+        self.count += 1;
+    }
+
+    fn mean(&self) -> RenderMetrics {
+        let mean = |sum: f64| (self.count > 0).then(|| sum / self.count as f64);
+        RenderMetrics {
+            psnr_db: mean(self.psnr_db),
+            ssim: mean(self.ssim),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use garad_core::Se3;
+
+    #[test]
+    fn poses_are_found_by_their_time() {
+        let pose = |t_s| StampedPose {
+            t_s,
+            world_from_camera: Se3::identity(),
+        };
+        let path = [pose(1.0), pose(1.033_333), pose(1.066_667)];
+        let found = pose_at(&path, 1.033_333_3).expect("within a microsecond");
+        assert!((found.t_s - 1.033_333).abs() < 1e-9, "the second");
+        assert!(pose_at(&path, 1.05).is_none(), "between two");
+        assert!(pose_at(&path, 2.0).is_none(), "after the last");
+    }
+}
