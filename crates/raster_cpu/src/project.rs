@@ -101,7 +101,11 @@ pub(crate) fn project<T: Real>(
 }
 
 /// One Gaussian, in the order of the formulas.
-pub(crate) fn project_one<T: Real>(map: &GaussianMap<T>, i: usize, view: &View<T>) -> Option<Projected<T>> {
+pub(crate) fn project_one<T: Real>(
+    map: &GaussianMap<T>,
+    i: usize,
+    view: &View<T>,
+) -> Option<Projected<T>> {
     // R1: p = R mean + t, (u, v) = (fx x/z + cx, fy y/z + cy).
     let p_cam = camera_point(view, map.means[i]);
     let [x, y, z] = p_cam;

@@ -1,0 +1,125 @@
+//! One tile, eight pixels at a time (R9 to R12).
+
+use wide::f32x8;
+
+use super::lanes::{STEPS, exp_nonpositive};
+use super::splat::{ROWS, Splat};
+use crate::composite::{MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
+
+/// Half-rows of eight pixels in a tile. Half-row i holds columns 0 to 7 of row i, half-row
+/// 16 + i the other eight.
+pub(crate) const HALF_ROWS: usize = 2 * ROWS;
+
+/// The pixels of a tile.
+#[derive(Debug)]
+pub(crate) struct TilePixels {
+    /// Share of light that is left; negative once the pixel is finished.
+    pub(crate) transmittance: [f32x8; HALF_ROWS],
+    pub(crate) color: [[f32x8; 3]; HALF_ROWS],
+    pub(crate) depth: [f32x8; HALF_ROWS],
+    /// Splats blended, as a number: fewer than 2400 fit between T = 1 and 1e-4.
+    pub(crate) contributors: [f32x8; HALF_ROWS],
+    /// Rank of the last of them, exact below 2²⁴.
+    pub(crate) last: [f32x8; HALF_ROWS],
+}
+
+/// What [`crate::composite`] calls density: opacity e^power, at eight columns of the row at
+/// distance `dy` from the centre. Same operations, same order.
+#[inline(always)]
+pub(crate) fn density(splat: &Splat, dx: f32x8, dy: f32) -> f32x8 {
+    let along = dx + f32x8::splat(splat.shear * dy);
+    let across = f32x8::splat(splat.inv_var_y * dy * dy);
+    let power = f32x8::splat(-0.5) * (f32x8::splat(splat.a) * along * along + across);
+    f32x8::splat(splat.opacity) * exp_nonpositive(power)
+}
+
+/// Horizontal distances from the centre, of both halves of a row that starts at `x`.
+#[inline(always)]
+pub(crate) fn distances(splat: &Splat, x: f32) -> [f32x8; 2] {
+    [x, x + 8.0].map(|x| (f32x8::splat(x) + STEPS) - f32x8::splat(splat.mean_px[0]))
+}
+
+impl TilePixels {
+    /// Nothing has arrived yet; pixels beyond `width` x `height` are finished.
+    fn new(width: usize, height: usize) -> Self {
+        let mut transmittance = [f32x8::splat(-1.0); HALF_ROWS];
+        for (i, t) in transmittance.iter_mut().enumerate() {
+            let columns = width.saturating_sub(8 * (i / ROWS));
+            if i % ROWS < height {
+                let mut lanes = [-1.0; 8];
+                lanes[..columns.min(8)].fill(1.0);
+                *t = f32x8::new(lanes);
+            }
+        }
+        Self {
+            transmittance,
+            color: [[f32x8::ZERO; 3]; HALF_ROWS],
+            depth: [f32x8::ZERO; HALF_ROWS],
+            contributors: [f32x8::ZERO; HALF_ROWS],
+            last: [f32x8::ZERO; HALF_ROWS],
+        }
+    }
+
+    /// Blends the splats of `list` front to back into the `width` x `height` pixels at
+    /// (`x`, `y`).
+    ///
+    /// Branches of the reference are masks here. A finished pixel keeps its T with the sign
+    /// turned: whatever would be left of it is then below 1e-4, so it never takes again.
+    pub(crate) fn composite<'a>(
+        list: impl Iterator<Item = &'a Splat>,
+        [x, y]: [f32; 2],
+        [width, height]: [usize; 2],
+    ) -> Self {
+        let mut pixels = Self::new(width, height);
+        let mut open = u32::MAX;
+        for i in 0..HALF_ROWS {
+            pixels.note_closed(i, &mut open);
+        }
+        let [min_alpha, max_alpha, min_t] =
+            [MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE].map(|v| f32x8::splat(v as f32));
+        let sign = f32x8::splat(-0.0);
+        let mut rank = f32x8::ZERO;
+        for splat in list {
+            if open == 0 {
+                break;
+            }
+            rank += f32x8::ONE;
+            let mut reach = splat.reach(x, y) & open;
+            if reach == 0 {
+                continue;
+            }
+            let dx = distances(splat, x);
+            let color = splat.color.map(f32x8::splat);
+            let depth = f32x8::splat(splat.depth_m);
+            while reach != 0 {
+                let i = reach.trailing_zeros() as usize % HALF_ROWS;
+                reach &= reach - 1;
+                let dy = (y + (i % ROWS) as f32) - splat.mean_px[1];
+                let alpha = max_alpha.fast_min(density(splat, dx[i / ROWS], dy));
+                let visible = alpha.simd_ge(min_alpha);
+                let t = pixels.transmittance[i];
+                let left = t * (f32x8::ONE - alpha);
+                let take = visible & left.simd_ge(min_t);
+                let weight = (alpha * t) & take;
+                for channel in 0..3 {
+                    pixels.color[i][channel] += weight * color[channel];
+                }
+                pixels.depth[i] += weight * depth;
+                pixels.contributors[i] += take & f32x8::ONE;
+                pixels.last[i] = take.bitselect(rank, pixels.last[i]);
+                pixels.transmittance[i] = take.bitselect(left, t | (visible & sign));
+                pixels.note_closed(i, &mut open);
+            }
+        }
+        pixels
+    }
+
+    /// Clears bit i of `open` when no pixel of half-row i may still take light.
+    #[inline(always)]
+    fn note_closed(&self, i: usize, open: &mut u32) {
+        // The mask of a vector's signs.
+        if self.transmittance[i].to_bitmask() == 0xff {
+            *open &= !(1 << i);
+        }
+    }
+}
