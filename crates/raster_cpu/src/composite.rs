@@ -521,6 +521,76 @@ mod tests {
         assert!(difference.norm() < 1e-13, "{difference}");
     }
 
+    /// A tilted needle in f32: by Σ' straight from the sums against by Σ' through the conic.
+    #[test]
+    fn gradient_by_the_covariance_of_a_needle_keeps_its_digits_in_f32() {
+        let (xx, xy, det) = (100.3f64, 100.0, 60.09);
+        let needle = Projected {
+            conic: [xx / det, -xy / det, xx / det],
+            shear: -xy / xx,
+            inv_var_y: 1.0 / xx,
+            ..splat(1.0, [1.0; 3], 1.0)
+        };
+        // A pull on one pixel, 9 px along the axis and 1 px aside.
+        let (dx, dy) = (9.0, 8.0);
+        let r = dx + needle.shear * dy;
+        let sums = SplatSums {
+            g: 1.0,
+            r,
+            y: dy,
+            rr: r * r,
+            ry: r * dy,
+            yy: dy * dy,
+            color: [0.0; 3],
+            depth: 0.0,
+        };
+        let narrow = Projected::<f32> {
+            index: 0,
+            mean_px: [2.0, 1.0],
+            depth_m: 1.0,
+            conic: needle.conic.map(Real::to_f32),
+            shear: needle.shear.to_f32(),
+            inv_var_y: needle.inv_var_y.to_f32(),
+            sigma_px: [10.0, 10.0],
+            opacity: 1.0,
+            color: [1.0; 3],
+            radius_px: 43,
+            footprint: TILE,
+        };
+        let sums32 = SplatSums::<f32> {
+            g: 1.0,
+            r: r.to_f32(),
+            y: 8.0,
+            rr: (r * r).to_f32(),
+            ry: (r * dy).to_f32(),
+            yy: 64.0,
+            color: [0.0; 3],
+            depth: 0.0,
+        };
+        let exact = SplatGradient::new(&needle, &sums).covariance;
+        let got = SplatGradient::new(&narrow, &sums32);
+        let error = |by: [f32; 3]| {
+            let pairs = by.into_iter().zip(exact);
+            let worst = pairs
+                .map(|(a, b)| (f64::from(a) - b).abs())
+                .fold(0.0, f64::max);
+            worst / exact[0].abs()
+        };
+        let straight = error(got.covariance);
+        assert!(straight < 4e-6, "straight: {straight:e}");
+        // -Σ'⁻¹ G Σ'⁻¹ with G = [p, q/2; q/2, s] and Σ'⁻¹ = [a, b; b, c].
+        let ([a, b, c], [p, q, s]) = (narrow.conic, got.conic);
+        let through = error([
+            -(a * a * p + a * b * q + b * b * s),
+            -(2.0 * a * b * p + (a * c + b * b) * q + 2.0 * b * c * s),
+            -(b * b * p + b * c * q + c * c * s),
+        ]);
+        assert!(
+            through > 10.0 * straight,
+            "{straight:e} against {through:e}"
+        );
+    }
+
     #[test]
     fn a_splat_that_would_leave_too_little_ends_the_pixel() {
         let full = splat(1.0, [1.0; 3], 1.0);

@@ -203,6 +203,13 @@ proptest! {
 
 #[test]
 fn nothing_judged_is_nothing_asked() {
+    let none = noise(1, 0, 0);
+    let loss = photometric(&none, &none, 0.2, None, Par::Seq).expect("fits");
+    assert!(
+        loss.value.abs() < 1e-300,
+        "a picture of no pixels: {}",
+        loss.value
+    );
     let (x, y) = (noise(1, 6, 4), noise(2, 6, 4));
     let all = Image::new(6, 4, 255u8);
     let loss = photometric(&x, &y, 0.2, Some(&all), Par::Seq).expect("fits");
