@@ -12,8 +12,6 @@ const SIGMA_PX: f64 = 1.5;
 const C1: f64 = 1e-4;
 /// (0.03 · 1)²: the same for the variances, where nothing varies.
 const C2: f64 = 9e-4;
-/// Rows per piece of work: small enough for two threads to share a picture evenly.
-const ROWS_PER_CHUNK: usize = 16;
 
 /// Mean structural similarity over judged pixels and channels, 1 for equal pictures, and its
 /// gradient by x (O2):
@@ -45,9 +43,15 @@ pub fn ssim<T: Real>(
     check_sizes(rendered.size(), &[("target", target.size())], excluded)?;
     let pixels = count(excluded, rendered.data().len());
     let terms = 3.0 * pixels.max(1) as f64;
-    let share = T::from_f64(1.0 / terms);
-    let channels =
-        [0, 1, 2].map(|channel| one_channel(channel, rendered, target, excluded, share, par));
+    let channels = par.map(3, |channel| {
+        one_channel(
+            channel,
+            rendered,
+            target,
+            excluded,
+            T::from_f64(1.0 / terms),
+        )
+    });
     let (width, height) = rendered.size();
     Ok(PictureLoss {
         value: T::from_f64(channels.iter().fold(0.0, |sum, c| sum + c.0) / terms),
@@ -65,7 +69,6 @@ fn one_channel<T: Real>(
     target: &Image<[T; 3]>,
     excluded: Option<&MaskImage>,
     share: T,
-    par: Par,
 ) -> (f64, Image<T>) {
     let (width, height) = target.size();
     let two = T::from_f64(2.0);
@@ -83,20 +86,17 @@ fn one_channel<T: Real>(
         let (x, y) = pair(v * width + u);
         [x, y, x * x + y * y, x * y]
     });
-    let moments = blurred(&moments, par);
-    // S and its weighted derivatives, pixel by pixel.
-    let mut similarities = Image::new(width, height, (T::ZERO, [T::ZERO; 3]));
-    let chunk = ROWS_PER_CHUNK * width;
-    par.for_each_chunk_mut(similarities.data_mut(), chunk, |piece, out| {
-        for (i, out) in (piece * chunk..).zip(out) {
-            if judged(excluded, i) {
-                let (s, slopes) = similarity(moments.data()[i]);
-                *out = (s, slopes.map(|slope| share * slope));
-            }
+    let (mut sum, mut i) = (0.0, 0);
+    let slopes = blurred(&moments).map(|moments| {
+        i += 1;
+        if !judged(excluded, i - 1) {
+            return [T::ZERO; 3];
         }
+        let (s, slopes) = similarity(*moments);
+        sum += s.to_f64();
+        slopes.map(|slope| share * slope)
     });
-    let sum = (similarities.data().iter()).fold(0.0, |sum, (s, _)| sum + s.to_f64());
-    let slopes = blurred(&similarities.map(|(_, slopes)| *slopes), par);
+    let slopes = blurred(&slopes);
     let gradient = Image::from_fn(width, height, |u, v| {
         let i = v * width + u;
         if !judged(excluded, i) {
@@ -137,36 +137,31 @@ fn taps<T: Real>() -> [T; TAPS] {
 }
 
 /// g∗field, component by component, zeros outside: rows, then columns.
-fn blurred<T: Real, const N: usize>(field: &Image<[T; N]>, par: Par) -> Image<[T; N]> {
+fn blurred<T: Real, const N: usize>(field: &Image<[T; N]>) -> Image<[T; N]> {
     let (width, height) = field.size();
     let taps = taps::<T>();
-    let chunk = ROWS_PER_CHUNK * width;
     let mut along = Image::new(width, height, [T::ZERO; N]);
-    par.for_each_chunk_mut(along.data_mut(), chunk, |piece, rows| {
-        let mut padded = vec![[T::ZERO; N]; width + 2 * RADIUS];
-        for (y, row) in (piece * ROWS_PER_CHUNK..).zip(rows.chunks_exact_mut(width)) {
-            padded[RADIUS..RADIUS + width].copy_from_slice(field.row(y));
-            for (x, out) in row.iter_mut().enumerate() {
-                for (tap, value) in taps.iter().zip(&padded[x..x + TAPS]) {
-                    add_scaled(out, *tap, value);
-                }
+    let mut padded = vec![[T::ZERO; N]; width + 2 * RADIUS];
+    for y in 0..height {
+        padded[RADIUS..RADIUS + width].copy_from_slice(field.row(y));
+        for (x, out) in along.row_mut(y).iter_mut().enumerate() {
+            for (tap, value) in taps.iter().zip(&padded[x..x + TAPS]) {
+                add_scaled(out, *tap, value);
             }
         }
-    });
+    }
     let mut both = Image::new(width, height, [T::ZERO; N]);
-    par.for_each_chunk_mut(both.data_mut(), chunk, |piece, rows| {
-        for (y, row) in (piece * ROWS_PER_CHUNK..).zip(rows.chunks_exact_mut(width)) {
-            for (k, tap) in taps.iter().enumerate() {
-                // Row y + k - 5, where there is one.
-                let Some(from) = (y + k).checked_sub(RADIUS).filter(|&row| row < height) else {
-                    continue;
-                };
-                for (out, value) in row.iter_mut().zip(along.row(from)) {
-                    add_scaled(out, *tap, value);
-                }
+    for y in 0..height {
+        for (k, tap) in taps.iter().enumerate() {
+            // Row y + k - 5, where there is one.
+            let Some(from) = (y + k).checked_sub(RADIUS).filter(|&row| row < height) else {
+                continue;
+            };
+            for (out, value) in both.row_mut(y).iter_mut().zip(along.row(from)) {
+                add_scaled(out, *tap, value);
             }
         }
-    });
+    }
     both
 }
 
@@ -191,7 +186,7 @@ mod tests {
         );
         let mut point = Image::new(15, 9, [0.0f64]);
         point[(7, 1)] = [1.0];
-        let window = blurred(&point, Par::Seq);
+        let window = blurred(&point);
         assert!(
             (window[(9, 4)][0] - taps[7] * taps[8]).abs() < 1e-17,
             "two right, three down"
