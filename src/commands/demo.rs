@@ -26,11 +26,16 @@ pub(crate) struct Args {
     without_labels: bool,
 }
 
+/// Training iterations unless the command line or a configuration says otherwise.
+const REFINE: usize = 120;
 /// Frames made ahead of tracking.
 const AHEAD: usize = 2;
 
 pub(crate) fn run(args: &Args) -> Result<()> {
-    let options = args.common.run_options(false)?;
+    let mut options = args.common.run_options(false)?;
+    if args.common.refine.is_none() && args.common.config.is_none() {
+        options.config.train.refine = REFINE;
+    }
     let scene = Scene::new(&SceneConfig {
         frames: args.frames,
         noise: true,
