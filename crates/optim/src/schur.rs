@@ -2,8 +2,10 @@
 //!
 //! Poses p and points l meet only in observations, so the Gauss-Newton matrix has the form
 //!
+//! ```text
 //! [ U   W ] [h_p]     [g_p]       U: a 6x6 block per pose, V: a 3x3 block per point,
 //! [ Wᵀ  V ] [h_l] = - [g_l]       W: a 6x3 block per observation.
+//! ```
 //!
 //! Points are eliminated one by one, because V is block-diagonal:
 //!
