@@ -297,7 +297,7 @@ impl Slam {
             .into_iter()
             .map(|(id, rgb, mask)| {
                 let dilate_px = self.config.labels.dilate_px;
-                TrainingView::new(id, &self.camera, &rgb, mask.as_ref(), dilate_px)
+                TrainingView::new(id, &self.camera, rgb, mask.as_ref(), dilate_px)
             })
             .collect();
         let config = &self.config.train;

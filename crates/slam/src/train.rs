@@ -7,7 +7,7 @@
 
 use garad_core::pyramid::halve_real;
 use garad_core::{
-    Camera, GaussianMap, Image, KeyframeId, Label, MaskImage, Par, RgbImage, Rng, Se3,
+    Camera, Distortion, GaussianMap, Image, KeyframeId, Label, MaskImage, Par, RgbImage, Rng, Se3,
 };
 use garad_optim::{Adam, AdamConfig, OptimError};
 use garad_raster::losses::{opacity_penalty, photometric};
@@ -20,15 +20,20 @@ use crate::config::{RateConfig, TrainConfig};
 /// Halvings of the coarsest picture (n = 2: three levels, eq. 16).
 const TOP_LEVEL: usize = 2;
 
-/// A keyframe's picture at every level, ready to be compared with.
+/// A keyframe's picture, ready to be compared with at any level. It is kept as recorded, a megabyte
+/// of bytes; what one iteration compares with is made when it is wanted.
 #[derive(Debug, Clone)]
 pub struct TrainingView {
     /// The keyframe.
     pub keyframe: KeyframeId,
-    levels: Vec<Target>,
+    camera: Camera,
+    rgb: RgbImage,
+    /// 255 near something that moves.
+    moving: Option<MaskImage>,
     uses: usize,
 }
 
+/// What one iteration compares with.
 #[derive(Debug, Clone)]
 struct Target {
     camera: Camera,
@@ -38,100 +43,107 @@ struct Target {
 }
 
 impl TrainingView {
-    /// Undistorts a picture and halves it twice (eq. 16). Pixels within `dilate_px` of something
-    /// that moves are left out of the loss.
+    /// Pixels within `dilate_px` of something that moves (255) are left out of the loss.
     #[must_use]
     pub fn new(
         keyframe: KeyframeId,
         camera: &Camera,
-        rgb: &RgbImage,
+        rgb: RgbImage,
         mask: Option<&MaskImage>,
         dilate_px: usize,
     ) -> Self {
-        let (mut color, mut excluded) = undistorted(camera, rgb, mask, dilate_px);
-        let mut levels = Vec::with_capacity(TOP_LEVEL + 1);
-        for level in 0..=TOP_LEVEL {
-            if level > 0 {
-                color = halve_real(&color);
-                excluded = halve_mask(&excluded);
-            }
-            let camera = Camera {
-                distortion: garad_core::Distortion::default(),
-                ..camera.level(level)
-            };
-            levels.push(Target {
-                camera,
-                color: color.clone(),
-                excluded: excluded.clone(),
-            });
-        }
         Self {
             keyframe,
-            levels,
+            camera: *camera,
+            rgb,
+            moving: mask.map(|mask| dilated(mask, dilate_px)),
             uses: 0,
         }
     }
 
     /// Coarse first: `per_level` uses at each coarser level, then full size.
     fn level(&self, per_level: usize) -> usize {
-        TOP_LEVEL.saturating_sub(self.uses / per_level.max(1))
+        match per_level {
+            0 => 0,
+            _ => TOP_LEVEL.saturating_sub(self.uses / per_level),
+        }
+    }
+
+    /// Undistorted, in [0, 1], halved `level` times (eq. 16).
+    fn target(&self, level: usize) -> Target {
+        let (mut color, mut excluded) = self.undistorted();
+        for _ in 0..level {
+            color = halve_real(&color);
+            excluded = halve_mask(&excluded);
+        }
+        Target {
+            camera: Camera {
+                distortion: Distortion::default(),
+                ..self.camera.level(level)
+            },
+            color,
+            excluded,
+        }
+    }
+
+    /// What a pinhole would have seen, in [0, 1], and where it says nothing.
+    fn undistorted(&self) -> (Image<[f32; 3]>, MaskImage) {
+        let (width, height) = self.rgb.size();
+        let moving = |x: usize, y: usize| self.moving.as_ref().map_or(0, |m| m[(x, y)]);
+        if self.camera.distortion.is_none() {
+            let color = self.rgb.map(|c| c.map(|v| f32::from(v) / 255.0));
+            return (color, MaskImage::from_fn(width, height, moving));
+        }
+        let mut excluded = MaskImage::new(width, height, 255);
+        let color = Image::from_fn(width, height, |x, y| {
+            let seen_at = self.camera.distort_pixel(&Vector2::new(x as f64, y as f64));
+            let Some((corner, weights)) = bilinear(&seen_at, self.rgb.size()) else {
+                return [0.0; 3];
+            };
+            excluded[(x, y)] = moving(corner[0], corner[1]);
+            interpolate(&self.rgb, corner, weights)
+        });
+        (color, excluded)
     }
 }
 
-/// What a pinhole would have seen, in [0, 1], and where it says nothing.
-fn undistorted(
-    camera: &Camera,
-    rgb: &RgbImage,
-    mask: Option<&MaskImage>,
-    dilate_px: usize,
-) -> (Image<[f32; 3]>, MaskImage) {
-    let (width, height) = rgb.size();
-    let mut excluded = MaskImage::new(width, height, 0);
-    let color = Image::from_fn(width, height, |x, y| {
-        let seen_at = camera.distort_pixel(&Vector2::new(x as f64, y as f64));
-        let sample = bilinear(rgb, &seen_at);
-        if sample.is_none() || mask.is_some_and(|m| moves_near(m, &seen_at, dilate_px)) {
-            excluded[(x, y)] = 255;
-        }
-        sample.unwrap_or([0.0; 3])
-    });
-    (color, excluded)
-}
-
-/// The picture between its pixels; `None` outside.
+/// The pixel above and left of a place, and how far the place lies beyond it; `None` outside.
 #[allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
     reason = "inside the picture by the test before; a weight in [0, 1)"
 )]
-fn bilinear(rgb: &RgbImage, at: &Vector2<f64>) -> Option<[f32; 3]> {
-    let (last_x, last_y) = (rgb.width() - 1, rgb.height() - 1);
-    let inside = at.x >= 0.0 && at.y >= 0.0 && at.x <= last_x as f64 && at.y <= last_y as f64;
-    if !inside {
-        return None;
-    }
-    let (x, y) = (at.x as usize, at.y as usize);
-    let (wx, wy) = ((at.x - x as f64) as f32, (at.y - y as f64) as f32);
-    let (right, below) = ((x + 1).min(last_x), (y + 1).min(last_y));
+fn bilinear(at: &Vector2<f64>, (width, height): (usize, usize)) -> Option<([usize; 2], [f32; 2])> {
+    let inside =
+        at.x >= 0.0 && at.y >= 0.0 && at.x <= width as f64 - 1.0 && at.y <= height as f64 - 1.0;
+    inside.then(|| {
+        let (x, y) = (at.x as usize, at.y as usize);
+        ([x, y], [(at.x - x as f64) as f32, (at.y - y as f64) as f32])
+    })
+}
+
+fn interpolate(rgb: &RgbImage, [x, y]: [usize; 2], [wx, wy]: [f32; 2]) -> [f32; 3] {
+    let (right, below) = ((x + 1).min(rgb.width() - 1), (y + 1).min(rgb.height() - 1));
     let value = |x: usize, y: usize, c: usize| f32::from(rgb[(x, y)][c]) / 255.0;
-    Some([0, 1, 2].map(|c| {
+    [0, 1, 2].map(|c| {
         let top = value(x, y, c) * (1.0 - wx) + value(right, y, c) * wx;
         let bottom = value(x, below, c) * (1.0 - wx) + value(right, below, c) * wx;
         top * (1.0 - wy) + bottom * wy
-    }))
+    })
 }
 
-#[allow(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "float to integer saturates; the ranges are cut to the picture"
-)]
-fn moves_near(mask: &MaskImage, at: &Vector2<f64>, radius: usize) -> bool {
-    let (x, y) = ((at.x + 0.5) as usize, (at.y + 0.5) as usize);
-    let (last_x, last_y) = (mask.width() - 1, mask.height() - 1);
-    let columns = x.saturating_sub(radius).min(last_x)..=(x + radius).min(last_x);
-    (y.saturating_sub(radius).min(last_y)..=(y + radius).min(last_y))
-        .any(|y| mask.row(y)[columns.clone()].contains(&255))
+/// 255 within the square of `radius` around any 255, first along rows, then along columns.
+fn dilated(mask: &MaskImage, radius: usize) -> MaskImage {
+    let (width, height) = mask.size();
+    let around = |c: usize, n: usize| c.saturating_sub(radius)..=(c + radius).min(n - 1);
+    let rows = MaskImage::from_fn(width, height, |x, y| {
+        let any = mask.row(y)[around(x, width)].contains(&255);
+        if any { 255 } else { 0 }
+    });
+    MaskImage::from_fn(width, height, |x, y| {
+        let any = around(y, height).any(|y| rows[(x, y)] == 255);
+        if any { 255 } else { 0 }
+    })
 }
 
 /// Left out if any of the pixels that the 5-tap filter mixes is.
@@ -234,7 +246,7 @@ impl Trainer {
         let level = view.level(config.uses_per_level);
         view.uses += 1;
         let keyframe = view.keyframe;
-        let target = &view.levels[level];
+        let target = view.target(level);
         let pose = pose_of(keyframe);
         let options = RenderOptions {
             include: Include::StaticOnly,
@@ -336,4 +348,76 @@ impl Trainer {
 #[allow(clippy::cast_possible_truncation, reason = "the map is f32 by design")]
 fn to_f32(v: f64) -> f32 {
     v as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera(k1: f64) -> Camera {
+        let mut camera = Camera::pinhole((32, 24), [30.0, 30.0, 15.5, 11.5]).expect("valid");
+        camera.distortion.k1 = k1;
+        camera
+    }
+
+    #[test]
+    fn levels_run_from_coarse_to_fine() {
+        let rgb = RgbImage::new(32, 24, [51, 102, 255]);
+        let mut view = TrainingView::new(KeyframeId(0), &camera(0.0), rgb, None, 0);
+        let levels = [0, 7, 8, 15, 16, 99].map(|uses| {
+            view.uses = uses;
+            view.level(8)
+        });
+        assert_eq!(levels, [2, 2, 1, 1, 0, 0], "eight uses each, then whole");
+        let target = view.target(2);
+        assert_eq!(target.color.size(), (8, 6), "a quarter");
+        assert_eq!(target.camera, camera(0.0).level(2), "with its camera");
+        assert!((target.color[(3, 3)][0] - 0.2).abs() < 1e-6, "51 of 255");
+        assert!(
+            target.excluded.data().iter().all(|m| *m == 0),
+            "all of it counts"
+        );
+    }
+
+    /// A picture whose red is the column: undistorted, a pixel holds the column it was seen at.
+    #[test]
+    fn a_bent_picture_is_straightened() {
+        let camera = camera(0.2);
+        let rgb = RgbImage::from_fn(32, 24, |x, _| [u8::try_from(8 * x).expect("small"); 3]);
+        let view = TrainingView::new(KeyframeId(0), &camera, rgb, None, 0);
+        let target = view.target(0);
+        let seen_at = camera.distort_pixel(&Vector2::new(20.0, 6.0));
+        let expected = 8.0 * seen_at.x / 255.0;
+        let found = f64::from(target.color[(20, 6)][0]);
+        assert!(
+            (found - expected).abs() < 1e-5,
+            "{found} against {expected}"
+        );
+        assert_eq!(target.excluded[(20, 6)], 0, "it was seen");
+        assert_eq!(target.excluded[(0, 0)], 255, "bent out of the picture");
+        assert!(target.camera.distortion.is_none(), "a pinhole from here on");
+    }
+
+    #[test]
+    fn moving_pixels_and_their_surroundings_are_left_out() {
+        let mut mask = MaskImage::new(32, 24, 0);
+        mask[(16, 12)] = 255;
+        let rgb = RgbImage::new(32, 24, [0; 3]);
+        let view = TrainingView::new(KeyframeId(0), &camera(0.0), rgb, Some(&mask), 2);
+        let excluded = view.target(0).excluded;
+        let count = excluded.data().iter().filter(|m| **m != 0).count();
+        assert_eq!(count, 25, "a square of 5");
+        assert_eq!(
+            (excluded[(18, 14)], excluded[(19, 12)]),
+            (255, 0),
+            "its corner, beside it"
+        );
+        let quarter = view.target(2).excluded;
+        assert_eq!(
+            quarter[(4, 3)],
+            255,
+            "anything mixed with it, at coarse levels too"
+        );
+        assert_eq!(quarter[(0, 0)], 0, "but not far away");
+    }
 }
