@@ -68,7 +68,7 @@ pub struct Gradients<T> {
 
 impl<T: Real> Gradients<T> {
     /// Zero for `n` Gaussians of `coefficients` SH triples.
-    fn zero(n: usize, coefficients: usize) -> Self {
+    pub(crate) fn zero(n: usize, coefficients: usize) -> Self {
         let o = T::ZERO;
         Self {
             means: vec![[o; 3]; n],
@@ -216,7 +216,7 @@ pub fn backward<T: Real>(
 
 /// What the way back starts with at a pixel. color = … + T background and opacity = 1 - T, so
 /// ∂L/∂T = ∂L/∂color · background - ∂L/∂opacity.
-fn pixel<T: Real>(
+pub(crate) fn pixel<T: Real>(
     rendered: &Rendered<T>,
     upstream: &Upstream<T>,
     background: [T; 3],
@@ -236,7 +236,7 @@ fn pixel<T: Real>(
     }
 }
 
-fn check_pictures<T: Real>(
+pub(crate) fn check_pictures<T: Real>(
     camera: &Camera,
     rendered: &Rendered<T>,
     upstream: &Upstream<T>,
@@ -263,7 +263,7 @@ fn check_pictures<T: Real>(
 }
 
 /// Every splat names a row of the map and lies in the picture.
-fn check_splats<T: Real>(
+pub(crate) fn check_splats<T: Real>(
     map: &GaussianMap<T>,
     camera: &Camera,
     splats: &[Projected<T>],

@@ -159,21 +159,21 @@ pub(crate) struct PixelBackward<T> {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SplatSums<T> {
     /// Σ g.
-    g: T,
+    pub(crate) g: T,
     /// Σ g r.
-    r: T,
+    pub(crate) r: T,
     /// Σ g dy.
-    y: T,
+    pub(crate) y: T,
     /// Σ g r².
-    rr: T,
+    pub(crate) rr: T,
     /// Σ g r dy.
-    ry: T,
+    pub(crate) ry: T,
     /// Σ g dy².
-    yy: T,
+    pub(crate) yy: T,
     /// Σ w ∂L/∂(pixel's color).
-    color: [T; 3],
+    pub(crate) color: [T; 3],
     /// Σ w ∂L/∂(pixel's depth).
-    depth: T,
+    pub(crate) depth: T,
 }
 
 impl<T: Real> SplatSums<T> {

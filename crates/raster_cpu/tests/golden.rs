@@ -3,7 +3,10 @@
 
 use garad_core::{Camera, GaussianMap, Image, KeyframeId, Label, Par, Real, Se3, So3};
 use garad_golden::{Case, compare::compare, tol};
-use garad_raster::{ClampGradient, Gradients, RenderOptions, Rendered, Upstream, backward, render};
+use garad_raster::{
+    ClampGradient, Gradients, RasterError, RenderOptions, Rendered, Upstream, backward, fast,
+    render,
+};
 use nalgebra::Vector3;
 
 struct Scene {
@@ -68,7 +71,25 @@ fn scene(case: &Case) -> Scene {
     }
 }
 
-fn draw<T: Real>(scene: &Scene) -> Rendered<T> {
+type Draw<T> =
+    fn(&GaussianMap<T>, &Camera, &Se3, &RenderOptions, Par) -> Result<Rendered<T>, RasterError>;
+type Back<T> = fn(
+    &GaussianMap<T>,
+    &Camera,
+    &Se3,
+    &RenderOptions,
+    &Rendered<T>,
+    &Upstream<T>,
+    Par,
+) -> Result<Gradients<T>, RasterError>;
+
+/// Both implementations of f32.
+const NARROW: [(&str, Draw<f32>, Back<f32>); 2] = [
+    ("reference", render, backward),
+    ("fast", fast::render, fast::backward),
+];
+
+fn draw<T: Real>(scene: &Scene, render: Draw<T>) -> Rendered<T> {
     render(
         &scene.map.cast::<T>(),
         &scene.camera,
@@ -127,7 +148,7 @@ fn outputs<T: Real>(picture: &Rendered<T>) -> Vec<(&'static str, Vec<f64>)> {
 #[test]
 fn forward_in_f64() {
     for case in Case::load_all("raster") {
-        for (name, got) in outputs(&draw::<f64>(&scene(&case))) {
+        for (name, got) in outputs(&draw::<f64>(&scene(&case), render)) {
             case.check(name, &got)
                 .unwrap_or_else(|report| panic!("{report}"));
         }
@@ -137,17 +158,22 @@ fn forward_in_f64() {
 /// Tight where no cut is near; elsewhere a splat may cross one.
 #[test]
 fn forward_in_f32() {
-    for case in Case::load_all("raster") {
-        let scene = scene(&case);
+    let cases = Case::load_all("raster");
+    for (case, (by, render, _)) in cases.iter().flat_map(|c| NARROW.map(|n| (c, n))) {
+        let scene = scene(case);
         let robust = case.input("robust").u8();
-        for (name, mut got) in outputs(&draw::<f32>(&scene)) {
+        for (name, mut got) in outputs(&draw(&scene, render)) {
             let expected = case.output(name);
             let per_pixel = got.len() / robust.len();
             match name {
                 "color" | "depth" | "transmittance" => {
                     let flips = tol::find("raster.f32.flips").expect("in the table");
                     let all = compare(expected, &got, flips).expect("same count");
-                    assert!(all.passed, "{} '{name}', all pixels: {all}", case.name());
+                    assert!(
+                        all.passed,
+                        "{} '{name}' by {by}, all pixels: {all}",
+                        case.name()
+                    );
                     for (i, e) in expected.f64().into_iter().enumerate() {
                         if robust[i / per_pixel] == 0 {
                             got[i] = e;
@@ -171,12 +197,16 @@ fn forward_in_f32() {
             };
             let tolerance = tol::find(&tolerance).expect("in the table");
             let verdict = compare(expected, &got, tolerance).expect("same count");
-            assert!(verdict.passed, "{} '{name}': {verdict}", case.name());
+            assert!(
+                verdict.passed,
+                "{} '{name}' by {by}: {verdict}",
+                case.name()
+            );
         }
     }
 }
 
-fn gradients<T: Real>(case: &Case) -> Gradients<T> {
+fn gradients<T: Real>(case: &Case, render: Draw<T>, backward: Back<T>) -> Gradients<T> {
     let scene = scene(case);
     let (width, height) = (scene.camera.width, scene.camera.height);
     let image = |name: &str| {
@@ -191,7 +221,7 @@ fn gradients<T: Real>(case: &Case) -> Gradients<T> {
         depth: Some(image("upstream_depth")),
         opacity: Some(image("upstream_opacity")),
     };
-    let (map, picture) = (scene.map.cast::<T>(), draw::<T>(&scene));
+    let (map, picture) = (scene.map.cast::<T>(), draw(&scene, render));
     backward(
         &map,
         &scene.camera,
@@ -228,7 +258,7 @@ fn tensors<T: Real>(g: &Gradients<T>) -> Vec<(&'static str, Vec<f64>)> {
 #[test]
 fn backward_in_f64() {
     for case in Case::load_all("raster_backward") {
-        for (name, got) in tensors(&gradients::<f64>(&case)) {
+        for (name, got) in tensors(&gradients::<f64>(&case, render, backward)) {
             case.check(name, &got)
                 .unwrap_or_else(|report| panic!("{report}"));
         }
@@ -237,12 +267,17 @@ fn backward_in_f64() {
 
 #[test]
 fn backward_in_f32() {
-    for case in Case::load_all("raster_backward") {
-        for (name, got) in tensors(&gradients::<f32>(&case)) {
+    let cases = Case::load_all("raster_backward");
+    for (case, (by, render, backward)) in cases.iter().flat_map(|c| NARROW.map(|n| (c, n))) {
+        for (name, got) in tensors(&gradients(case, render, backward)) {
             let tolerance = format!("raster_backward.f32.{name}");
             let tolerance = tol::find(&tolerance).expect("in the table");
             let verdict = compare(case.output(name), &got, tolerance).expect("same count");
-            assert!(verdict.passed, "{} '{name}': {verdict}", case.name());
+            assert!(
+                verdict.passed,
+                "{} '{name}' by {by}: {verdict}",
+                case.name()
+            );
         }
     }
 }

@@ -1,5 +1,6 @@
 //! One tile, eight pixels at a time (R9 to R12).
 
+use garad_core::Real;
 use wide::f32x8;
 
 use super::lanes::{STEPS, exp_nonpositive};
@@ -76,7 +77,7 @@ impl TilePixels {
             pixels.note_closed(i, &mut open);
         }
         let [min_alpha, max_alpha, min_t] =
-            [MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE].map(|v| f32x8::splat(v as f32));
+            [MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE].map(|v| f32x8::splat(f32::from_f64(v)));
         let sign = f32x8::splat(-0.0);
         let mut rank = f32x8::ZERO;
         for splat in list {

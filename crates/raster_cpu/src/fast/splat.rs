@@ -46,7 +46,8 @@ impl Splat {
             }
         };
         let f = &splat.footprint;
-        let cell = |pixels: usize| u16::try_from(pixels.div_ceil(FOOTPRINT_CELL_PX));
+        // The picture's largest side keeps these below 1025.
+        let cell = |cells: usize| u16::try_from(cells).unwrap_or(u16::MAX);
         Self {
             mean_px: splat.mean_px,
             a: splat.conic[0],
@@ -58,8 +59,12 @@ impl Splat {
             k,
             var_along: 1.0 / splat.conic[0],
             half_px: [half(0), half(1)],
-            // The picture's largest side keeps these below 1025.
-            cells: [f.x0, f.x1, f.y0, f.y1].map(|v| cell(v).unwrap_or(u16::MAX)),
+            cells: [
+                cell(f.x0 / FOOTPRINT_CELL_PX),
+                cell(f.x1.div_ceil(FOOTPRINT_CELL_PX)),
+                cell(f.y0 / FOOTPRINT_CELL_PX),
+                cell(f.y1.div_ceil(FOOTPRINT_CELL_PX)),
+            ],
         }
     }
 

@@ -1,0 +1,177 @@
+//! From the sums of each row of tiles to the gradients of each Gaussian.
+
+use garad_core::{GaussianMap, Par};
+
+use super::bin::Bands;
+use super::splat::Splat;
+use crate::backward::{ClampGradient, Gradients};
+use crate::composite::{SplatGradient, SplatSums};
+use crate::error::RasterError;
+use crate::project::{Projected, project_one_backward};
+use crate::view::View;
+
+/// Splats or Gaussians of one task.
+const CHUNK: usize = 512;
+
+/// Adds up each splat's sums over the bands, upper band first. `of_band[b]` runs beside
+/// `bands.list(b)`.
+pub(crate) fn over_bands(
+    splats: &[Splat],
+    bands: &Bands,
+    of_band: &[Vec<SplatSums<f32>>],
+    par: Par,
+) -> Vec<SplatSums<f32>> {
+    let mut total = vec![SplatSums::new(); splats.len()];
+    par.for_each_chunk_mut(&mut total, CHUNK, |chunk, total| {
+        let first = chunk * CHUNK;
+        // Lists are ascending: a chunk's splats stand together in each.
+        let mut next: Vec<usize> = (0..of_band.len())
+            .map(|band| {
+                let list = bands.list(band);
+                list.partition_point(|&position| (position as usize) < first)
+            })
+            .collect();
+        for (total, splat) in total.iter_mut().zip(&splats[first..]) {
+            for band in splat.cells[2]..splat.cells[3] {
+                let next = &mut next[usize::from(band)];
+                total.add(&of_band[usize::from(band)][*next]);
+                *next += 1;
+            }
+        }
+    });
+    total
+}
+
+/// A run of rows of every gradient.
+struct Rows<'a> {
+    /// Row in the map of the first.
+    first: usize,
+    means: &'a mut [[f32; 3]],
+    log_scales: &'a mut [[f32; 3]],
+    quaternions: &'a mut [[f32; 4]],
+    opacity_logits: &'a mut [f32],
+    sh: &'a mut [[f32; 3]],
+    means2d: &'a mut [[f32; 2]],
+    conics: &'a mut [[f32; 3]],
+    opacities: &'a mut [f32],
+    colors: &'a mut [[f32; 3]],
+    depths: &'a mut [f32],
+    /// Their share of the pose's gradient.
+    pose: [f64; 6],
+    /// First splat that the map cannot have made.
+    bad: Option<usize>,
+}
+
+/// R15 to R20 for every splat, each result written to its row.
+///
+/// The pose's gradient is added over runs of 512 rows of the map, then over the runs, in f64.
+///
+/// # Errors
+/// [`RasterError::NotThisMap`] with the first splat whose row cannot be drawn.
+pub(crate) fn to_map(
+    map: &GaussianMap<f32>,
+    view: &View<f32>,
+    projected: &[Projected<f32>],
+    sums: &[SplatSums<f32>],
+    clamp: ClampGradient,
+    par: Par,
+) -> Result<Gradients<f32>, RasterError> {
+    const NOBODY: u32 = u32::MAX;
+    let mut splat_of = vec![NOBODY; map.len()];
+    for (splat, position) in projected.iter().zip(0u32..) {
+        splat_of[splat.index as usize] = position;
+    }
+    let mut gradients = Gradients::zero(map.len(), map.coefficients());
+    let mut runs = Rows::cut(&mut gradients, map.coefficients());
+    par.for_each_chunk_mut(&mut runs, 1, |_, runs| {
+        for run in runs {
+            for k in 0..run.means.len() {
+                let position = splat_of[run.first + k];
+                if position != NOBODY {
+                    let at = position as usize;
+                    run.put(k, map, view, (at, &projected[at]), &sums[at], clamp);
+                }
+            }
+        }
+    });
+    let mut pose = [0.0f64; 6];
+    let mut bad: Option<usize> = None;
+    for run in &runs {
+        for (sum, part) in pose.iter_mut().zip(run.pose) {
+            *sum += part;
+        }
+        bad = [bad, run.bad].into_iter().flatten().min();
+    }
+    if let Some(splat) = bad {
+        return Err(RasterError::NotThisMap { splat });
+    }
+    #[allow(clippy::cast_possible_truncation, reason = "rounding is the purpose")]
+    let pose = pose.map(|v| v as f32);
+    gradients.pose = pose;
+    Ok(gradients)
+}
+
+impl<'a> Rows<'a> {
+    fn cut(gradients: &'a mut Gradients<f32>, coefficients: usize) -> Vec<Self> {
+        let mut log_scales = gradients.log_scales.chunks_mut(CHUNK);
+        let mut quaternions = gradients.quaternions.chunks_mut(CHUNK);
+        let mut opacity_logits = gradients.opacity_logits.chunks_mut(CHUNK);
+        let mut sh = gradients.sh.chunks_mut(CHUNK * coefficients);
+        let mut means2d = gradients.means2d.chunks_mut(CHUNK);
+        let mut conics = gradients.conics.chunks_mut(CHUNK);
+        let mut opacities = gradients.opacities.chunks_mut(CHUNK);
+        let mut colors = gradients.colors.chunks_mut(CHUNK);
+        let mut depths = gradients.depths.chunks_mut(CHUNK);
+        let means = gradients.means.chunks_mut(CHUNK).enumerate();
+        means
+            .filter_map(|(i, means)| {
+                Some(Self {
+                    first: i * CHUNK,
+                    means,
+                    log_scales: log_scales.next()?,
+                    quaternions: quaternions.next()?,
+                    opacity_logits: opacity_logits.next()?,
+                    sh: sh.next()?,
+                    means2d: means2d.next()?,
+                    conics: conics.next()?,
+                    opacities: opacities.next()?,
+                    colors: colors.next()?,
+                    depths: depths.next()?,
+                    pose: [0.0; 6],
+                    bad: None,
+                })
+            })
+            .collect()
+    }
+
+    /// The way back of one splat, into row `k` of the run.
+    fn put(
+        &mut self,
+        k: usize,
+        map: &GaussianMap<f32>,
+        view: &View<f32>,
+        (position, splat): (usize, &Projected<f32>),
+        sums: &SplatSums<f32>,
+        clamp: ClampGradient,
+    ) {
+        let d = SplatGradient::new(splat, sums);
+        let Some(row) = project_one_backward(map, view, splat, &d, clamp) else {
+            self.bad = [self.bad, Some(position)].into_iter().flatten().min();
+            return;
+        };
+        let n = self.sh.len() / self.means.len();
+        self.means[k] = row.mean;
+        self.log_scales[k] = row.log_scale;
+        self.quaternions[k] = row.quaternion;
+        self.opacity_logits[k] = row.opacity_logit;
+        self.sh[k * n..(k + 1) * n].copy_from_slice(&row.sh[..n]);
+        self.means2d[k] = d.mean_px;
+        self.conics[k] = d.conic;
+        self.opacities[k] = d.opacity;
+        self.colors[k] = d.color;
+        self.depths[k] = d.depth_m;
+        for (sum, part) in self.pose.iter_mut().zip(row.pose) {
+            *sum += f64::from(part);
+        }
+    }
+}

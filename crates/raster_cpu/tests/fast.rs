@@ -1,0 +1,348 @@
+//! The fast rasterizer is held to the reference: its pictures bit for bit, its gradients to what
+//! f32 can do.
+
+mod common;
+
+use common::{camera, map, pose};
+use garad_core::{Camera, GaussianMap, Image, KeyframeId, NewGaussian, Par, Real, Rng, Se3};
+use garad_raster::{
+    ClampGradient, Gradients, Include, RasterError, RenderOptions, Rendered, Upstream, backward,
+    fast, render,
+};
+use proptest::prelude::*;
+
+/// Every picture, count, radius and splat of both, for one to three threads.
+fn assert_same_bits(map: &GaussianMap<f32>, camera: &Camera, pose: &Se3, options: &RenderOptions) {
+    let reference = render(map, camera, pose, options, Par::Seq).expect("a picture");
+    for threads in [1, 2, 3] {
+        let ours = fast::render(map, camera, pose, options, Par::new(threads)).expect("a picture");
+        assert!(ours.color == reference.color, "color, {threads} threads");
+        assert!(ours.depth == reference.depth, "depth, {threads} threads");
+        assert!(ours == reference, "the rest, {threads} threads");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    /// Random scenes in pictures whose last tiles are cut anywhere.
+    #[test]
+    fn fast_is_the_reference(
+        seed in 0u64..1_000_000,
+        size in (1usize..80, 1usize..60),
+        background in proptest::array::uniform3(-1.0f64..1.0),
+        which in 0usize..3,
+        tile_px in prop_oneof![4 => Just(16usize), 1 => Just(8usize)],
+    ) {
+        let map = map(seed, 120).cast::<f32>();
+        let camera = Camera { width: size.0, height: size.1, ..camera() };
+        let include = [Include::All, Include::StaticOnly, Include::DynamicOnly][which];
+        let options = RenderOptions { background, include, tile_px, ..RenderOptions::default() };
+        assert_same_bits(&map, &camera, &pose(), &options);
+    }
+}
+
+fn ball(z: f32, sigma_m: f32, opacity: f32) -> NewGaussian<f32> {
+    NewGaussian {
+        mean: [0.01, -0.02, z],
+        sigma_m,
+        opacity,
+        color: [0.9, 0.4, 0.1],
+        landmark: None,
+        born: KeyframeId(0),
+    }
+}
+
+/// A few ulp to both sides of 1/255, of 0.99 and of the near plane, walls that end a pixel, sizes
+/// beyond reason, and rows with a bad number.
+#[test]
+fn fast_is_the_reference_on_the_cuts() {
+    let camera = Camera::pinhole((41, 37), [30.0, 30.0, 20.3, 18.2]).expect("valid");
+    let draw = |map: &GaussianMap<f32>| {
+        assert_same_bits(map, &camera, &Se3::default(), &RenderOptions::default());
+        fast::render(
+            map,
+            &camera,
+            &Se3::default(),
+            &RenderOptions::default(),
+            Par::Seq,
+        )
+        .expect("a picture")
+    };
+    let near = |x: f32| {
+        [-64i32, -8, 0, 8, 64].map(|step| f32::from_bits(x.to_bits().wrapping_add_signed(step)))
+    };
+    let mut counts = Vec::new();
+    for opacity in near(1.0 / 255.0).into_iter().chain(near(0.99)) {
+        let mut map = GaussianMap::new(0);
+        map.push(&ball(2.0, 30.0, opacity));
+        map.push(&ball(3.0, 0.2, opacity));
+        counts.push(draw(&map).contributors.data().iter().sum::<u32>());
+    }
+    assert!(counts[0] < counts[4], "the cut is crossed: {counts:?}");
+    for z in near(0.2) {
+        let mut map = GaussianMap::new(0);
+        map.push(&ball(z, 0.01, 0.5));
+        draw(&map);
+    }
+    let mut wall = GaussianMap::new(0);
+    for k in 0..40u8 {
+        wall.push(&ball(
+            1.0 + f32::from(k % 7),
+            0.05 * f32::from(k),
+            0.05 + 0.02 * f32::from(k),
+        ));
+    }
+    let last = draw(&wall);
+    assert!(
+        last.transmittance.data().iter().any(|&t| t < 2e-4),
+        "some pixels are finished"
+    );
+    for sigma in [0.0, 1e-30, 1e-3, 1e5, 1e8, 1e12, 1e30] {
+        for opacity in [0.003, 0.5, 0.999_99] {
+            let mut map = GaussianMap::new(0);
+            let i = map.push(&ball(1.0, sigma, opacity));
+            draw(&map);
+            map.log_scales[i][0] = -20.0;
+            map.quaternions[i] = [0.9, 0.1, -0.3, 0.2];
+            draw(&map);
+        }
+    }
+    for value in [
+        f32::NAN,
+        f32::INFINITY,
+        f32::NEG_INFINITY,
+        1e38,
+        -1e38,
+        1e-40,
+    ] {
+        for array in 0..5 {
+            let mut map = wall.clone();
+            match array {
+                0 => map.means[3][1] = value,
+                1 => map.log_scales[3][2] = value,
+                2 => map.quaternions[3][3] = value,
+                3 => map.opacity_logits[3] = value,
+                _ => map.sh[3][0] = value,
+            }
+            draw(&map);
+        }
+    }
+    draw(&GaussianMap::new(2));
+}
+
+/// Many splats at few depths: order among equals, and tiles that close.
+#[test]
+fn fast_is_the_reference_in_a_crowd() {
+    let mut map = map(77, 4000).cast::<f32>();
+    // Every fourth stands at the very depth of its neighbour.
+    for i in (0..3996).step_by(4) {
+        map.means[i + 1] = map.means[i];
+    }
+    assert_same_bits(&map, &camera(), &pose(), &RenderOptions::default());
+}
+
+fn upstream(seed: u64, camera: &Camera) -> Upstream<f64> {
+    let mut rng = Rng::keyed(seed, &[1]);
+    let (w, h) = (camera.width, camera.height);
+    Upstream {
+        color: Image::from_fn(w, h, |_, _| [0; 3].map(|_| rng.normal())),
+        depth: Some(Image::from_fn(w, h, |_, _| rng.normal())),
+        opacity: Some(Image::from_fn(w, h, |_, _| rng.normal())),
+    }
+}
+
+fn narrow(up: &Upstream<f64>) -> Upstream<f32> {
+    let image = |i: &Image<f64>| i.map(|v| v.to_f32());
+    Upstream {
+        color: up.color.map(|c| c.map(Real::to_f32)),
+        depth: up.depth.as_ref().map(image),
+        opacity: up.opacity.as_ref().map(image),
+    }
+}
+
+/// Every gradient, and what f32 costs it: measured on a reference in
+/// f32 against itself in f64, largest difference by largest value, for 20 000 Gaussians.
+fn tensors<T: Real>(g: &Gradients<T>) -> Vec<(&'static str, f64, Vec<f64>)> {
+    fn flat<T: Real, const N: usize>(rows: &[[T; N]]) -> Vec<f64> {
+        rows.iter().flatten().map(|v| v.to_f64()).collect()
+    }
+    let column = |v: &[T]| v.iter().map(|v| v.to_f64()).collect();
+    vec![
+        ("means", 9.2e-6, flat(&g.means)),
+        ("log_scales", 6.2e-6, flat(&g.log_scales)),
+        ("quaternions", 7.5e-6, flat(&g.quaternions)),
+        ("opacity_logits", 7.1e-6, column(&g.opacity_logits)),
+        ("sh", 8.1e-6, flat(&g.sh)),
+        ("pose", 2.0e-5, column(&g.pose)),
+        ("means2d", 8.3e-6, flat(&g.means2d)),
+        ("conics", 8.4e-6, flat(&g.conics)),
+        ("opacities", 7.1e-6, column(&g.opacities)),
+        ("colors", 8.1e-6, flat(&g.colors)),
+        ("depths", 8.1e-6, column(&g.depths)),
+    ]
+}
+
+/// Largest difference by largest value, in units of the table, per tensor.
+fn distances<A: Real, B: Real>(a: &Gradients<A>, b: &Gradients<B>) -> Vec<(&'static str, f64)> {
+    let pairs = tensors(a).into_iter().zip(tensors(b));
+    pairs
+        .map(|((name, unit, a), (_, _, b))| {
+            let largest = b.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+            let difference = a
+                .iter()
+                .zip(&b)
+                .map(|(a, b)| (a - b).abs())
+                .fold(0.0, f64::max);
+            (name, difference / (largest * unit))
+        })
+        .collect()
+}
+
+/// Against the reference in f64, on pixels that f32 blends from as many splats: within 8 times
+/// the table. Against the reference in f32, which blends the same: within the table.
+#[test]
+fn fast_gradients_are_those_of_the_reference() {
+    let (camera, pose) = (camera(), pose());
+    for (seed, clamp_gradient) in (0..8).zip(
+        [ClampGradient::True, ClampGradient::PassThrough]
+            .into_iter()
+            .cycle(),
+    ) {
+        let options = RenderOptions {
+            background: [0.3, 0.1, 0.6],
+            clamp_gradient,
+            ..RenderOptions::default()
+        };
+        let (wide_map, mut up) = (map(seed, 150), upstream(seed, &camera));
+        let map = wide_map.cast::<f32>();
+        let picture = fast::render(&map, &camera, &pose, &options, Par::Seq).expect("a picture");
+        let wide_map = map.cast::<f64>();
+        let wide = render(&wide_map, &camera, &pose, &options, Par::Seq).expect("a picture");
+        let mut lost = 0;
+        for y in 0..camera.height {
+            for x in 0..camera.width {
+                let at = (x, y);
+                if picture.contributors[at] != wide.contributors[at]
+                    || picture.last[at] != wide.last[at]
+                {
+                    lost += 1;
+                    up.color[at] = [0.0; 3];
+                    up.depth.as_mut().expect("given")[at] = 0.0;
+                    up.opacity.as_mut().expect("given")[at] = 0.0;
+                }
+            }
+        }
+        assert!(
+            lost * 100 < camera.width * camera.height,
+            "{lost} pixels differ"
+        );
+        let narrow = narrow(&up);
+        let up = Upstream {
+            color: narrow.color.map(|c| c.map(f64::from)),
+            depth: narrow.depth.as_ref().map(|i| i.map(|&v| f64::from(v))),
+            opacity: narrow.opacity.as_ref().map(|i| i.map(|&v| f64::from(v))),
+        };
+        let ours = fast::backward(&map, &camera, &pose, &options, &picture, &narrow, Par::Seq)
+            .expect("gradients");
+        let same = backward(&map, &camera, &pose, &options, &picture, &narrow, Par::Seq)
+            .expect("gradients");
+        let exact =
+            backward(&wide_map, &camera, &pose, &options, &wide, &up, Par::Seq).expect("gradients");
+        for (name, distance) in distances(&ours, &same) {
+            assert!(
+                distance < 1.0,
+                "seed {seed}, {name}: {distance} of the table, both in f32"
+            );
+        }
+        for (name, distance) in distances(&ours, &exact) {
+            assert!(
+                distance < 8.0,
+                "seed {seed}, {name}: {distance} times the table"
+            );
+        }
+        for threads in [2, 3] {
+            let many = fast::backward(
+                &map,
+                &camera,
+                &pose,
+                &options,
+                &picture,
+                &narrow,
+                Par::new(threads),
+            );
+            assert!(many.as_ref() == Ok(&ours), "seed {seed}, {threads} threads");
+        }
+    }
+}
+
+/// A NaN at a pixel reaches the splats of that pixel and no other.
+#[test]
+fn a_nan_from_above_spoils_what_the_reference_says_it_spoils() {
+    let (camera, pose, options) = (camera(), pose(), RenderOptions::default());
+    let map = map(11, 60).cast::<f32>();
+    let picture = fast::render(&map, &camera, &pose, &options, Par::Seq).expect("a picture");
+    let mut up = narrow(&upstream(11, &camera));
+    up.color[(33, 21)][1] = f32::NAN;
+    let both = [
+        backward(&map, &camera, &pose, &options, &picture, &up, Par::Seq),
+        fast::backward(&map, &camera, &pose, &options, &picture, &up, Par::Seq),
+    ]
+    .map(|g| g.expect("gradients").means2d);
+    let spoilt = both.map(|m| m.iter().map(|v| v[0].is_nan()).collect::<Vec<_>>());
+    assert_eq!(spoilt[0], spoilt[1], "the same rows");
+    let n = spoilt[0].iter().filter(|s| **s).count();
+    assert!(n > 0 && n < 40, "{n} rows");
+}
+
+#[test]
+fn fast_refuses_what_the_reference_refuses() {
+    let (camera, pose, options) = (camera(), pose(), RenderOptions::default());
+    let map = map(1, 40).cast::<f32>();
+    let picture = fast::render(&map, &camera, &pose, &options, Par::Seq).expect("a picture");
+    let up = narrow(&upstream(1, &camera));
+    let same = |map: &GaussianMap<f32>,
+                picture: &Rendered<f32>,
+                up: &Upstream<f32>,
+                options: &RenderOptions| {
+        let reference = backward(map, &camera, &pose, options, picture, up, Par::Seq);
+        let ours = fast::backward(map, &camera, &pose, options, picture, up, Par::Threads(2));
+        let (reference, ours) = (reference.expect_err("refused"), ours.expect_err("refused"));
+        assert_eq!(ours, reference, "the same error");
+        ours
+    };
+    let mut small = up.clone();
+    small.color = Image::new(1, 1, [0.0; 3]);
+    same(&map, &picture, &small, &options);
+    let mut other = picture.clone();
+    other.projected[2].footprint.x1 = 71;
+    same(&map, &other, &up, &options);
+    let mut poisoned = map.clone();
+    for splat in [20, 12, 25] {
+        poisoned.quaternions[picture.projected[splat].index as usize] = [0.0; 4];
+    }
+    let error = same(&poisoned, &picture, &up, &options);
+    assert_eq!(error, RasterError::NotThisMap { splat: 12 }, "the first");
+    let none = RenderOptions {
+        tile_px: 0,
+        ..options
+    };
+    same(&map, &picture, &up, &none);
+    let night = RenderOptions {
+        background: [f64::INFINITY; 3],
+        ..options
+    };
+    same(&map, &picture, &up, &night);
+    let error = fast::render(&map, &camera, &pose, &night, Par::Seq).expect_err("refused");
+    assert!(
+        matches!(error, RasterError::BackgroundNotFinite { .. }),
+        "{error}"
+    );
+    let mut short = map.clone();
+    short.sh.pop();
+    let error = fast::render(&short, &camera, &pose, &options, Par::Seq).expect_err("refused");
+    assert!(
+        matches!(error, RasterError::MapLength { array: "sh", .. }),
+        "{error}"
+    );
+}
