@@ -6,6 +6,7 @@ use garad_features::{Descriptor, Keypoint};
 use nalgebra::{Vector2, Vector3};
 
 use crate::config::{Config, FeatureConfig};
+use crate::mask::moving_near;
 
 /// A frame: its features in ideal pixels, their depth, and the landmarks they were found to be.
 #[derive(Debug, Clone)]
@@ -243,19 +244,12 @@ fn one_surface(depth: &DepthImage, px: &Vector2<f64>, ratio: f64) -> bool {
         })
 }
 
-/// Dynamic if any pixel of the square of `radius` around the keypoint moves (255).
+/// Dynamic if anything moves within `radius` of the keypoint.
 fn label_at(mask: &MaskImage, px: &Vector2<f64>, radius: usize) -> Label {
-    let Some((x, y)) = nearest_pixel(px, mask.size()) else {
-        return Label::Static;
-    };
-    let (right, bottom) = (mask.width() - 1, mask.height() - 1);
-    for ny in y.saturating_sub(radius)..=(y + radius).min(bottom) {
-        let row = &mask.row(ny)[x.saturating_sub(radius)..=(x + radius).min(right)];
-        if row.contains(&255) {
-            return Label::Dynamic;
-        }
+    match nearest_pixel(px, mask.size()) {
+        Some((x, y)) if moving_near(mask, x, y, radius) => Label::Dynamic,
+        _ => Label::Static,
     }
-    Label::Static
 }
 
 #[allow(

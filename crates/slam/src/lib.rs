@@ -7,15 +7,17 @@
 //!
 //! Reading order, one frame's way through the code:
 //! [`frame`] (features, ideal pixels, depth at keypoints) → [`matching`] (landmarks found again)
-//! → [`tracker`] (prediction, pose, local map, state) → [`keyframes`] (when to keep a frame, what
-//! it adds, what is thrown out) → [`local_ba`] (poses and landmarks together) → [`seed`]
-//! (Gaussians where the picture is not yet explained). [`recover`] finds a lost camera again.
+//! → [`tracker`] (prediction, pose, local map, state) → [`refine`] (matches sharpened) →
+//! [`keyframes`] (when to keep a frame, what it adds, what is thrown out) → [`local_ba`] (poses and
+//! landmarks together) → [`seed`] (Gaussians where the picture is not yet explained) → [`train`]
+//! (the map learns the pictures). [`recover`] finds a lost camera again.
 
 pub mod config;
 pub mod frame;
 pub mod keyframes;
 pub mod local_ba;
 pub mod map;
+pub mod mask;
 pub mod matching;
 pub mod observer;
 pub mod recover;

@@ -7,6 +7,7 @@ use garad_raster::{RenderOptions, Rendered, render};
 use nalgebra::Vector2;
 
 use crate::config::SeedConfig;
+use crate::mask::moving_near;
 
 /// The picture a keyframe was made from.
 #[derive(Debug, Clone, Copy)]
@@ -57,7 +58,8 @@ pub fn seed_from_depth(
                 return map.len() - before;
             }
             let z = f64::from(picture.depth[(x, y)]);
-            if !(z > 0.0 && z <= max_depth_m) || moves(picture.mask, x, y, stride) {
+            let moves = picture.mask.is_some_and(|m| moving_near(m, x, y, stride));
+            if !(z > 0.0 && z <= max_depth_m) || moves {
                 continue;
             }
             let Some(uv) = camera.undistort_pixel(&Vector2::new(x as f64, y as f64)) else {
@@ -95,14 +97,6 @@ fn explained(drawn: &Rendered<f32>, uv: &Vector2<f64>, z: f64, config: &SeedConf
     let opacity = f64::from(opacity);
     opacity >= config.explained_opacity
         && f64::from(depth) / opacity <= z * (1.0 + config.depth_ratio)
-}
-
-/// Anything moving within `radius` of the pixel?
-fn moves(mask: Option<&MaskImage>, x: usize, y: usize, radius: usize) -> bool {
-    let Some(mask) = mask else { return false };
-    let (right, bottom) = (mask.width() - 1, mask.height() - 1);
-    (y.saturating_sub(radius)..=(y + radius).min(bottom))
-        .any(|y| mask.row(y)[x.saturating_sub(radius)..=(x + radius).min(right)].contains(&255))
 }
 
 #[allow(clippy::cast_possible_truncation, reason = "the map is f32 by design")]

@@ -16,6 +16,7 @@ use nalgebra::Vector2;
 use thiserror::Error;
 
 use crate::config::{RateConfig, TrainConfig};
+use crate::mask;
 
 /// Halvings of the coarsest picture (n = 2: three levels, eq. 16).
 const TOP_LEVEL: usize = 2;
@@ -56,7 +57,7 @@ impl TrainingView {
             keyframe,
             camera: *camera,
             rgb,
-            moving: mask.map(|mask| dilated(mask, dilate_px)),
+            moving: mask.map(|mask| mask::dilated(mask, dilate_px)),
             uses: 0,
         }
     }
@@ -74,7 +75,7 @@ impl TrainingView {
         let (mut color, mut excluded) = self.undistorted();
         for _ in 0..level {
             color = halve_real(&color);
-            excluded = halve_mask(&excluded);
+            excluded = mask::halve(&excluded);
         }
         Target {
             camera: Camera {
@@ -129,32 +130,6 @@ fn interpolate(rgb: &RgbImage, [x, y]: [usize; 2], [wx, wy]: [f32; 2]) -> [f32; 
         let top = value(x, y, c) * (1.0 - wx) + value(right, y, c) * wx;
         let bottom = value(x, below, c) * (1.0 - wx) + value(right, below, c) * wx;
         top * (1.0 - wy) + bottom * wy
-    })
-}
-
-/// 255 within the square of `radius` around any 255, first along rows, then along columns.
-fn dilated(mask: &MaskImage, radius: usize) -> MaskImage {
-    let (width, height) = mask.size();
-    let around = |c: usize, n: usize| c.saturating_sub(radius)..=(c + radius).min(n - 1);
-    let rows = MaskImage::from_fn(width, height, |x, y| {
-        let any = mask.row(y)[around(x, width)].contains(&255);
-        if any { 255 } else { 0 }
-    });
-    MaskImage::from_fn(width, height, |x, y| {
-        let any = around(y, height).any(|y| rows[(x, y)] == 255);
-        if any { 255 } else { 0 }
-    })
-}
-
-/// Left out if any of the pixels that the 5-tap filter mixes is.
-fn halve_mask(mask: &MaskImage) -> MaskImage {
-    let (width, height) = (mask.width().div_ceil(2), mask.height().div_ceil(2));
-    Image::from_fn(width, height, |x, y| {
-        let near = |c: usize, last: usize| (2 * c).saturating_sub(2)..=(2 * c + 2).min(last);
-        let columns = near(x, mask.width() - 1);
-        let any = near(y, mask.height() - 1)
-            .any(|y| mask.row(y)[columns.clone()].iter().any(|m| *m != 0));
-        if any { 255 } else { 0 }
     })
 }
 
