@@ -40,8 +40,8 @@ pub struct LkConfig {
     pub iterations: usize,
     /// A step shorter than this ends a level, pixels.
     pub epsilon_px: f64,
-    /// Smallest eigenvalue of G / 441 (grey levels² per pixel², on derivatives 1/32 of Scharr's)
-    /// that counts as texture.
+    /// Smallest eigenvalue of G / 441 that counts as texture, in OpenCV's units: 2⁻¹⁰ times
+    /// (grey levels per pixel)². 1e-4 is a slope of 0.32 grey levels per pixel (E14).
     pub min_eigenvalue: f32,
     /// Largest mean absolute difference of the two windows, grey levels; `None` for any.
     pub max_residual: Option<f32>,
@@ -299,7 +299,8 @@ fn corner_of(centre: [f32; 2]) -> [f32; 2] {
     centre.map(|v| v - HALF_WINDOW)
 }
 
-/// Brings Σ of products of intensities (x 32) and derivatives (x 32) to grey levels and pixels.
+/// OpenCV's scale of the integer sums. Their products carry 2¹⁰ (intensities and slopes are 32 times
+/// what they stand for), so 2⁻¹⁰ remains: it cancels in the step and is part of the gate (E14).
 const SUM_SCALE: f32 = 1.0 / (1 << 20) as f32;
 
 /// The normal equations of one level.
