@@ -62,6 +62,9 @@ def _entry(folder, name, array, unit, tol=None):
 def write_case(stage, case, *, basis, why, script, inputs, outputs, params=None, equations=(), flags=(),
                version=1, seed=None, root=ROOT):
     """Replaces the folder root/stage/case."""
+    both = set(inputs) & set(outputs)
+    if both:
+        raise ValueError(f"{stage}/{case}: input and output share a file: {sorted(both)}")
     folder = pathlib.Path(root) / stage / case
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
