@@ -20,21 +20,22 @@ mod gather;
 mod lanes;
 mod splat;
 
-use garad_core::{Camera, GaussianMap, Image, Label, Par, Real, Se3};
+use garad_core::{Camera, GaussianMap, Image, Par, Real, Se3};
 
 use self::backward::TileBackward;
-use self::bin::{Bands, Columns, sorted};
+use self::bin::{Bands, Columns, Entry, sorted};
 use self::forward::{HALF_ROWS, TilePixels};
 use self::splat::{ROWS, Splat, prepare};
 use crate::backward::{Gradients, Upstream, check_pictures, check_splats, pixel};
 use crate::composite::SplatSums;
 use crate::error::RasterError;
-use crate::project::{FOOTPRINT_CELL_PX, Projected, camera_point, is_in_front, project_one};
+use crate::project::{FOOTPRINT_CELL_PX, Projected, project_range};
 use crate::render::{Include, RenderOptions, Rendered, check};
 use crate::view::View;
 
 /// Gaussians looked at by one task.
-const CHUNK: usize = 1024;
+const CHUNK: usize = CHUNK_U32 as usize;
+const CHUNK_U32: u32 = 1024;
 /// Tiles here are the footprint's cells, so that a footprint covers a tile or misses it.
 const TILE_PX: usize = FOOTPRINT_CELL_PX;
 /// Ranks are kept as f32 and exact below this.
@@ -163,7 +164,7 @@ pub fn backward(
             });
             tile.take_back(
                 places.len(),
-                |entry| &splats[list[places[entry] as usize] as usize],
+                |entry| &columns.splats[places[entry] as usize],
                 [x0 as f32, y0 as f32],
                 options.clamp_gradient,
                 |entry, part| sums[places[entry] as usize].add(part),
@@ -176,39 +177,35 @@ pub fn backward(
     gather::to_map(map, &view, &rendered.projected, &sums, clamp, par)
 }
 
-/// [`crate::project::project`] and the sort in one: keys are made and sorted first, so that each
-/// row is projected straight into its place.
+/// The visible splats front to back, as the reference sorts them.
 fn project_sorted(
     map: &GaussianMap<f32>,
     view: &View<f32>,
     include: Include,
     par: Par,
 ) -> Vec<Projected<f32>> {
-    let wanted = |i: usize| match include {
-        Include::All => true,
-        Include::StaticOnly => map.label[i] == Label::Static,
-        Include::DynamicOnly => map.label[i] == Label::Dynamic,
+    let parts = par.map_chunks(map.len(), CHUNK, |range| {
+        let splats = project_range(map, view, include, range);
+        let keys: Vec<u32> = splats.iter().map(|s| s.depth_m.to_bits()).collect();
+        (splats, keys)
+    });
+    // Numbers that ascend with the rows of the map: part, then place in it.
+    let numbered = parts.iter().zip(0u32..).flat_map(|((_, keys), part)| {
+        let numbers = part * CHUNK_U32..;
+        keys.iter().copied().zip(numbers)
+    });
+    let order = sorted(numbered.collect());
+    let splat = |number: u32| parts[number as usize / CHUNK].0[number as usize % CHUNK];
+    let Some(&first) = order.first() else {
+        return Vec::new();
     };
-    let keys = par
-        .map_chunks(map.len(), CHUNK, |range| {
-            range
-                .filter(|&i| wanted(i))
-                .filter_map(|i| {
-                    let z = camera_point(view, map.means[i])[2];
-                    let row = u32::try_from(i).ok()?;
-                    is_in_front(z).then_some((z.to_bits(), row))
-                })
-                .collect::<Vec<_>>()
-        })
-        .concat();
-    let order = sorted(&keys);
-    par.map_chunks(order.len(), CHUNK, |range| {
-        order[range]
-            .iter()
-            .filter_map(|&i| project_one(map, i as usize, view))
-            .collect::<Vec<_>>()
-    })
-    .concat()
+    let mut projected = vec![splat(first); order.len()];
+    par.for_each_chunk_mut(&mut projected, CHUNK, |chunk, out| {
+        for (out, &number) in out.iter_mut().zip(&order[chunk * CHUNK..]) {
+            *out = splat(number);
+        }
+    });
+    projected
 }
 
 /// One row of tiles in every picture.
@@ -249,12 +246,12 @@ impl<'a> Stripe<'a> {
     }
 
     /// Bins, blends and writes the band's tiles.
-    fn draw(&mut self, splats: &[Splat], list: &[u32], band: usize, background: [f32; 3]) {
+    fn draw(&mut self, splats: &[Splat], list: &[Entry], band: usize, background: [f32; 3]) {
         let columns = Columns::new(splats, list, self.width.div_ceil(TILE_PX));
         for column in 0..self.width.div_ceil(TILE_PX) {
             let entries = columns.list(column).iter();
             let pixels = TilePixels::composite(
-                entries.map(|&place| &splats[list[place as usize] as usize]),
+                entries.map(|&place| &columns.splats[place as usize]),
                 [(column * TILE_PX) as f32, (band * TILE_PX) as f32],
                 [self.width - column * TILE_PX, self.color.len() / self.width],
             );

@@ -88,28 +88,33 @@ pub(crate) fn project<T: Real>(
     par: Par,
 ) -> Vec<Projected<T>> {
     par.map_chunks(map.len(), CHUNK, |range| {
-        range
-            .filter(|&i| match include {
-                Include::All => true,
-                Include::StaticOnly => map.label[i] == Label::Static,
-                Include::DynamicOnly => map.label[i] == Label::Dynamic,
-            })
-            .filter_map(|i| project_one(map, i, view))
-            .collect::<Vec<_>>()
+        project_range(map, view, include, range)
     })
     .concat()
 }
 
-/// One Gaussian, in the order of the formulas.
-pub(crate) fn project_one<T: Real>(
+/// The visible splats of some rows, in their order.
+pub(crate) fn project_range<T: Real>(
     map: &GaussianMap<T>,
-    i: usize,
     view: &View<T>,
-) -> Option<Projected<T>> {
+    include: Include,
+    rows: std::ops::Range<usize>,
+) -> Vec<Projected<T>> {
+    rows.filter(|&i| match include {
+        Include::All => true,
+        Include::StaticOnly => map.label[i] == Label::Static,
+        Include::DynamicOnly => map.label[i] == Label::Dynamic,
+    })
+    .filter_map(|i| project_one(map, i, view))
+    .collect()
+}
+
+/// One Gaussian, in the order of the formulas.
+fn project_one<T: Real>(map: &GaussianMap<T>, i: usize, view: &View<T>) -> Option<Projected<T>> {
     // R1: p = R mean + t, (u, v) = (fx x/z + cx, fy y/z + cy).
     let p_cam = camera_point(view, map.means[i]);
     let [x, y, z] = p_cam;
-    if !is_in_front(z) {
+    if !z.is_finite() || z <= T::from_f64(NEAR_M) {
         return None;
     }
     let mean_px = [
@@ -231,13 +236,8 @@ pub(crate) fn project_one_backward<T: Real>(
     })
 }
 
-/// Beyond the near plane. A NaN is not.
-pub(crate) fn is_in_front<T: Real>(z: T) -> bool {
-    z.is_finite() && z > T::from_f64(NEAR_M)
-}
-
 /// R mean + t, metres.
-pub(crate) fn camera_point<T: Real>(view: &View<T>, mean: [T; 3]) -> [T; 3] {
+fn camera_point<T: Real>(view: &View<T>, mean: [T; 3]) -> [T; 3] {
     let (r, t) = (&view.rotation, &view.translation);
     [0, 1, 2].map(|i| r[i][0] * mean[0] + r[i][1] * mean[1] + r[i][2] * mean[2] + t[i])
 }

@@ -5,13 +5,13 @@ use super::splat::Splat;
 /// Digits of the keys that one pass sorts by.
 const BITS: u32 = 11;
 
-/// The numbers of `keys` in ascending order of (key, number): R8, since the bits of positive
+/// The numbers of pairs (key, number), given in ascending order of numbers, in ascending order of
+/// (key, number): R8, since the bits of positive
 /// floats are ordered as the floats are.
 ///
 /// Radix sort from the last digit to the first; each pass keeps the order of equals.
-pub(crate) fn sorted(keys: &[(u32, u32)]) -> Vec<u32> {
-    let mut from = keys.to_vec();
-    let mut to = vec![(0, 0); keys.len()];
+pub(crate) fn sorted(mut from: Vec<(u32, u32)>) -> Vec<u32> {
+    let mut to = vec![(0, 0); from.len()];
     for shift in (0..32).step_by(BITS as usize) {
         let digit = |key: u32| (key >> shift) as usize & ((1 << BITS) - 1);
         let mut starts = [0u32; 1 << BITS];
@@ -32,13 +32,21 @@ pub(crate) fn sorted(keys: &[(u32, u32)]) -> Vec<u32> {
     from.into_iter().map(|(_, number)| number).collect()
 }
 
+/// A splat in a row of tiles.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Entry {
+    /// Position in the sorted splats.
+    pub(crate) position: u32,
+    /// Its columns of tiles, [x0, x1).
+    columns: [u16; 2],
+}
+
 /// For each row of tiles the splats whose footprint reaches into it, front to back.
 #[derive(Debug)]
 pub(crate) struct Bands {
     /// Band b owns `entries[starts[b]..starts[b + 1]]`.
     starts: Vec<usize>,
-    /// Positions in the sorted splats.
-    entries: Vec<u32>,
+    entries: Vec<Entry>,
 }
 
 impl Bands {
@@ -53,59 +61,67 @@ impl Bands {
         for row in 0..rows {
             starts[row + 1] += starts[row];
         }
-        let mut entries = vec![0u32; starts[rows]];
+        let mut entries = vec![Entry::default(); starts[rows]];
         let mut next = starts.clone();
         for (splat, position) in splats.iter().zip(0u32..) {
-            for row in splat.cells[2]..splat.cells[3] {
-                let next = &mut next[usize::from(row)];
-                entries[*next] = position;
+            let [x0, x1, y0, y1] = splat.cells;
+            for next in &mut next[usize::from(y0)..usize::from(y1)] {
+                entries[*next] = Entry {
+                    position,
+                    columns: [x0, x1],
+                };
                 *next += 1;
             }
         }
         Self { starts, entries }
     }
 
-    /// Positions of the splats of a band, ascending.
-    pub(crate) fn list(&self, band: usize) -> &[u32] {
+    /// The splats of a band; positions ascend.
+    pub(crate) fn list(&self, band: usize) -> &[Entry] {
         &self.entries[self.starts[band]..self.starts[band + 1]]
     }
 }
 
-/// The lists of the tiles of one band.
+/// The lists of the tiles of one band, and the band's splats side by side, so that its tiles
+/// find them in the cache.
 #[derive(Debug)]
 pub(crate) struct Columns {
+    pub(crate) splats: Vec<Splat>,
     starts: Vec<usize>,
-    entries: Vec<u32>,
+    places: Vec<u32>,
 }
 
 impl Columns {
-    /// `band` as in [`Bands::list`]. Entries are places in it, ascending within a tile.
-    pub(crate) fn new(splats: &[Splat], band: &[u32], columns: usize) -> Self {
+    /// `band` as in [`Bands::list`].
+    pub(crate) fn new(splats: &[Splat], band: &[Entry], columns: usize) -> Self {
         let mut starts = vec![0usize; columns + 1];
-        for &position in band {
-            let [x0, x1, ..] = splats[position as usize].cells;
-            for column in x0..x1 {
+        for entry in band {
+            for column in entry.columns[0]..entry.columns[1] {
                 starts[usize::from(column) + 1] += 1;
             }
         }
         for column in 0..columns {
             starts[column + 1] += starts[column];
         }
-        let mut entries = vec![0u32; starts[columns]];
+        let mut places = vec![0u32; starts[columns]];
         let mut next = starts.clone();
-        for (&position, place) in band.iter().zip(0u32..) {
-            let [x0, x1, ..] = splats[position as usize].cells;
-            for column in x0..x1 {
-                let next = &mut next[usize::from(column)];
-                entries[*next] = place;
+        for (entry, place) in band.iter().zip(0u32..) {
+            let [x0, x1] = entry.columns.map(usize::from);
+            for next in &mut next[x0..x1] {
+                places[*next] = place;
                 *next += 1;
             }
         }
-        Self { starts, entries }
+        let splats = band.iter().map(|e| splats[e.position as usize]).collect();
+        Self {
+            splats,
+            starts,
+            places,
+        }
     }
 
-    /// The tile's splats, front to back, as places in the band's list.
+    /// The tile's splats, front to back, as places in the band.
     pub(crate) fn list(&self, column: usize) -> &[u32] {
-        &self.entries[self.starts[column]..self.starts[column + 1]]
+        &self.places[self.starts[column]..self.starts[column + 1]]
     }
 }

@@ -28,7 +28,7 @@ pub(crate) fn over_bands(
         let mut next: Vec<usize> = (0..of_band.len())
             .map(|band| {
                 let list = bands.list(band);
-                list.partition_point(|&position| (position as usize) < first)
+                list.partition_point(|entry| (entry.position as usize) < first)
             })
             .collect();
         for (total, splat) in total.iter_mut().zip(&splats[first..]) {
