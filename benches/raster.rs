@@ -1,8 +1,11 @@
-//! The rasterizer's forward pass: 640x480, 10 000 to 200 000 Gaussians, one and two threads, f32.
+//! The rasterizer, reference and fast, forward and both ways: 640x480, 10 000 to 200 000 Gaussians,
+//! one and two threads, f32.
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use garad_core::{Camera, GaussianMap, KeyframeId, NewGaussian, Par, Real, Rng, Se3};
-use garad_raster::{RenderOptions, render};
+use garad_core::{Camera, GaussianMap, Image, KeyframeId, NewGaussian, Par, Real, Rng, Se3};
+use garad_raster::{
+    Gradients, RasterError, RenderOptions, Rendered, Upstream, backward, fast, render,
+};
 use std::hint::black_box;
 
 /// A room as mapping leaves it: centres spread over the picture at 1 to 4 m, half-axes about a
@@ -35,30 +38,62 @@ fn room(n: usize, camera: &Camera) -> GaussianMap<f32> {
     map
 }
 
-fn forward(criterion: &mut Criterion) {
+type Draw =
+    fn(&GaussianMap<f32>, &Camera, &Se3, &RenderOptions, Par) -> Result<Rendered<f32>, RasterError>;
+type Back = fn(
+    &GaussianMap<f32>,
+    &Camera,
+    &Se3,
+    &RenderOptions,
+    &Rendered<f32>,
+    &Upstream<f32>,
+    Par,
+) -> Result<Gradients<f32>, RasterError>;
+
+const BOTH: [(&str, Draw, Back); 2] = [
+    ("reference", render, backward),
+    ("fast", fast::render, fast::backward),
+];
+
+/// Every size, implementation and number of threads, without and with the way back.
+fn raster(criterion: &mut Criterion) {
     let camera = Camera::pinhole((640, 480), [535.4, 539.2, 320.1, 247.6]).expect("freiburg3");
-    let mut group = criterion.benchmark_group("raster_forward");
+    let (pose, options) = (Se3::default(), RenderOptions::default());
+    let mut rng = Rng::new(3);
+    let upstream = Upstream {
+        color: Image::from_fn(640, 480, |_, _| [0; 3].map(|_| rng.normal().to_f32())),
+        depth: Some(Image::from_fn(640, 480, |_, _| rng.normal().to_f32())),
+        opacity: None,
+    };
+    let mut group = criterion.benchmark_group("raster");
     group.sample_size(20);
     for n in [10_000, 50_000, 200_000] {
         let map = room(n, &camera);
-        for threads in [1, 2] {
-            let id = BenchmarkId::new(format!("{n}_gaussians"), format!("{threads}_threads"));
-            group.bench_function(id, |bencher| {
-                bencher.iter(|| {
-                    render(
-                        black_box(&map),
-                        &camera,
-                        &Se3::default(),
-                        &RenderOptions::default(),
-                        Par::new(threads),
+        for (name, draw, back) in BOTH {
+            for threads in [1, 2] {
+                let par = Par::new(threads);
+                let picture = || draw(black_box(&map), &camera, &pose, &options, par);
+                let id = |way: &str| {
+                    BenchmarkId::new(
+                        format!("{way}_{name}"),
+                        format!("{n}_gaussians_{threads}_threads"),
                     )
-                    .expect("a picture")
+                };
+                group.bench_function(id("forward"), |bencher| {
+                    bencher.iter(|| picture().expect("a picture"));
                 });
-            });
+                group.bench_function(id("forward_backward"), |bencher| {
+                    bencher.iter(|| {
+                        let picture = picture().expect("a picture");
+                        back(&map, &camera, &pose, &options, &picture, &upstream, par)
+                            .expect("gradients")
+                    });
+                });
+            }
         }
     }
     group.finish();
 }
 
-criterion_group!(benches, forward);
+criterion_group!(benches, raster);
 criterion_main!(benches);
