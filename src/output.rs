@@ -19,7 +19,7 @@ use garad_eval::report::{FrameState, ReportData, Strip};
 use garad_eval::{
     Ate, AteOptions, Metrics, PictureQuality, RpeOptions, ate, compare_pictures, rpe,
 };
-use garad_raster::{RenderOptions, render};
+use garad_raster::{RenderOptions, fast};
 use garad_slam::TrackingState;
 
 use crate::pictures;
@@ -212,7 +212,7 @@ fn draw(result: &RunResult, snapshot: &Snapshot) -> Result<Drawn> {
     let rendered = match pose {
         None => None,
         Some(pose) => {
-            let rendered = render(
+            let rendered = fast::render(
                 result.slam.gaussians(),
                 result.slam.camera(),
                 &pose.world_from_camera.inverse(),

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use garad_core::{Camera, Distortion, GaussianMap, Image, Par, RgbImage, StampedPose};
 use garad_eval::{RenderMetrics, compare_pictures};
-use garad_raster::{Include, RenderOptions, render};
+use garad_raster::{Include, RenderOptions, fast};
 use nalgebra::Vector2;
 
 use crate::progress::Progress;
@@ -50,7 +50,7 @@ pub fn judge(
             continue;
         };
         let camera_from_world = pose.world_from_camera.inverse();
-        let rendered = render(map, &pinhole, &camera_from_world, &options, par)?;
+        let rendered = fast::render(map, &pinhole, &camera_from_world, &options, par)?;
         let color = crate::pictures::color_picture(&rendered);
         let truth = undistorted(camera, &frame.rgb);
         all.add(compare_pictures(&color, &truth, None, par)?);

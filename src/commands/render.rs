@@ -8,7 +8,7 @@ use garad::pictures;
 use garad::progress::Progress;
 use garad_core::{Camera, Par, Se3, So3, StampedPose};
 use garad_dataset::{Calibration, Preset};
-use garad_raster::{Include, RenderOptions, render};
+use garad_raster::{Include, RenderOptions, fast};
 use nalgebra::Vector3;
 
 use super::{make_folder, read_poses, say};
@@ -100,7 +100,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let mut progress = Progress::new("drawing", poses.len(), args.quiet);
     for (i, pose) in poses.iter().enumerate() {
         let camera_from_world = pose.world_from_camera.inverse();
-        let rendered = render(
+        let rendered = fast::render(
             &map,
             &camera,
             &camera_from_world,

@@ -3,7 +3,7 @@
 use garad_core::{
     Camera, DepthImage, GaussianMap, KeyframeId, MaskImage, NewGaussian, Par, RgbImage, Se3,
 };
-use garad_raster::{RenderOptions, Rendered, render};
+use garad_raster::{RenderOptions, Rendered, fast};
 use nalgebra::Vector2;
 
 use crate::config::SeedConfig;
@@ -40,7 +40,7 @@ pub fn seed_from_depth(
     par: Par,
 ) -> usize {
     let small = camera.level(CHECK_LEVEL);
-    let drawn = render(
+    let drawn = fast::render(
         map,
         &small,
         camera_from_world,

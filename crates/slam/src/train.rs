@@ -11,7 +11,7 @@ use garad_core::{
 };
 use garad_optim::{Adam, AdamConfig, OptimError};
 use garad_raster::losses::{opacity_penalty, photometric};
-use garad_raster::{Gradients, Include, RasterError, RenderOptions, Upstream, backward, render};
+use garad_raster::{Gradients, Include, RasterError, RenderOptions, Upstream, fast};
 use nalgebra::Vector2;
 use thiserror::Error;
 
@@ -227,7 +227,7 @@ impl Trainer {
             include: Include::StaticOnly,
             ..RenderOptions::default()
         };
-        let rendered = render(map, &target.camera, &pose, &options, par)?;
+        let rendered = fast::render(map, &target.camera, &pose, &options, par)?;
         let lambda = config.lambda_ssim;
         let loss = photometric(
             &rendered.color,
@@ -242,7 +242,7 @@ impl Trainer {
             depth: None,
             opacity: None,
         };
-        let mut gradients = backward(
+        let mut gradients = fast::backward(
             map,
             &target.camera,
             &pose,
