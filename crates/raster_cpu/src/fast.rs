@@ -10,7 +10,7 @@
 //! ```
 //!
 //! What makes it fast: the ellipse outside which alpha < 1/255 is solved for all rows of a tile
-//! at once and leaves a bit mask of half-rows to visit; branches are masks; a row of tiles is
+//! at once and leaves a bit mask of blocks of 4 x 2 pixels to visit; branches are masks; a row of tiles is
 //! binned, blended and written by one task, straight into its stripe of every picture.
 
 mod backward;
@@ -24,8 +24,8 @@ use garad_core::{Camera, GaussianMap, Image, Par, Real, Se3};
 
 use self::backward::TileBackward;
 use self::bin::{Bands, Columns, Entry, sorted};
-use self::forward::{HALF_ROWS, TilePixels};
-use self::splat::{ROWS, Splat, prepare};
+use self::forward::{BLOCKS, TilePixels, corner};
+use self::splat::{Splat, prepare};
 use crate::backward::{Gradients, Upstream, check_pictures, check_splats, pixel};
 use crate::composite::SplatSums;
 use crate::error::RasterError;
@@ -124,7 +124,7 @@ pub fn render(
 ///
 /// # Numerics
 /// f32. Per pixel the reference's operations in its order; a splat's sums over pixels are added
-/// lane by lane (eight columns apart by lane, rows from the top), lanes as
+/// lane by lane (a lane is one place in blocks of 4 x 2, blocks down the columns), lanes as
 /// ((0 + 4) + (1 + 5)) + ((2 + 6) + (3 + 7)), tiles from left to right, rows of tiles from the
 /// top. The pose is added in f64 over runs of 512 rows of the map. The same bits for every `par`,
 /// with and without AVX; not those of the reference, whose sums run pixel by pixel.
@@ -261,28 +261,35 @@ impl<'a> Stripe<'a> {
 
     fn write(&mut self, pixels: &TilePixels, x0: usize, background: [f32; 3]) {
         let height = self.color.len() / self.width;
-        for i in 0..HALF_ROWS {
-            let (row, x) = (i % ROWS, x0 + 8 * (i / ROWS));
-            if row >= height || x >= self.width {
-                continue;
-            }
-            let n = (self.width - x).min(8);
-            let at = row * self.width + x..row * self.width + x + n;
+        for i in 0..BLOCKS {
+            let (column, row) = corner(i);
+            let x = x0 + column;
             let t = pixels.transmittance[i].abs().to_array();
             let color = pixels.color[i].map(|c| c.to_array());
-            for (lane, out) in self.color[at.clone()].iter_mut().enumerate() {
-                *out = [0, 1, 2].map(|k| color[k][lane] + t[lane] * background[k]);
+            let depth = pixels.depth[i].to_array();
+            let contributors = pixels.contributors[i].to_array();
+            let last = pixels.last[i].to_array();
+            for (y, first) in [(row, 0), (row + 1, 4)] {
+                if y >= height || x >= self.width {
+                    continue;
+                }
+                let n = (self.width - x).min(4);
+                let at = y * self.width + x..y * self.width + x + n;
+                let lanes = first..first + n;
+                for (out, lane) in self.color[at.clone()].iter_mut().zip(lanes.clone()) {
+                    *out = [0, 1, 2].map(|k| color[k][lane] + t[lane] * background[k]);
+                }
+                for (out, lane) in self.opacity[at.clone()].iter_mut().zip(lanes.clone()) {
+                    *out = 1.0 - t[lane];
+                }
+                self.transmittance[at.clone()].copy_from_slice(&t[lanes.clone()]);
+                self.depth[at.clone()].copy_from_slice(&depth[lanes.clone()]);
+                put_counts(
+                    &mut self.contributors[at.clone()],
+                    &contributors[lanes.clone()],
+                );
+                put_counts(&mut self.last[at], &last[lanes]);
             }
-            for (out, &t) in self.opacity[at.clone()].iter_mut().zip(&t) {
-                *out = 1.0 - t;
-            }
-            self.transmittance[at.clone()].copy_from_slice(&t[..n]);
-            self.depth[at.clone()].copy_from_slice(&pixels.depth[i].to_array()[..n]);
-            put_counts(
-                &mut self.contributors[at.clone()],
-                pixels.contributors[i].to_array(),
-            );
-            put_counts(&mut self.last[at], pixels.last[i].to_array());
         }
     }
 }
@@ -293,8 +300,8 @@ impl<'a> Stripe<'a> {
     clippy::cast_sign_loss,
     reason = "counts are whole and not negative"
 )]
-fn put_counts(out: &mut [u32], counts: [f32; 8]) {
-    for (out, count) in out.iter_mut().zip(counts) {
+fn put_counts(out: &mut [u32], counts: &[f32]) {
+    for (out, &count) in out.iter_mut().zip(counts) {
         *out = count as u32;
     }
 }

@@ -3,23 +3,23 @@
 use garad_core::Real;
 use wide::f32x8;
 
-use super::forward::{HALF_ROWS, density, distances};
+use super::forward::{BLOCKS, corner, density, distances};
 use super::lanes::sums;
-use super::splat::{ROWS, Splat};
+use super::splat::Splat;
 use crate::backward::ClampGradient;
 use crate::composite::{MAX_ALPHA, MIN_ALPHA, PixelBackward, SplatSums};
 
 /// The pixels of a tile on the way back: [`PixelBackward`], field by field.
 #[derive(Debug)]
 pub(crate) struct TileBackward {
-    d_color: [[f32x8; 3]; HALF_ROWS],
-    d_depth: [f32x8; HALF_ROWS],
-    transmittance: [f32x8; HALF_ROWS],
-    behind: [f32x8; HALF_ROWS],
+    d_color: [[f32x8; 3]; BLOCKS],
+    d_depth: [f32x8; BLOCKS],
+    transmittance: [f32x8; BLOCKS],
+    behind: [f32x8; BLOCKS],
     /// Rank of the last splat blended, exact below 2²⁴.
-    last: [f32x8; HALF_ROWS],
-    /// The largest of them per half-row.
-    deepest: [u32; HALF_ROWS],
+    last: [f32x8; BLOCKS],
+    /// The largest of them per block.
+    deepest: [u32; BLOCKS],
 }
 
 impl TileBackward {
@@ -30,21 +30,22 @@ impl TileBackward {
         pixel: impl Fn(usize, usize) -> PixelBackward<f32>,
     ) -> Self {
         let mut tile = Self {
-            d_color: [[f32x8::ZERO; 3]; HALF_ROWS],
-            d_depth: [f32x8::ZERO; HALF_ROWS],
-            transmittance: [f32x8::ZERO; HALF_ROWS],
-            behind: [f32x8::ZERO; HALF_ROWS],
-            last: [f32x8::ZERO; HALF_ROWS],
-            deepest: [0; HALF_ROWS],
+            d_color: [[f32x8::ZERO; 3]; BLOCKS],
+            d_depth: [f32x8::ZERO; BLOCKS],
+            transmittance: [f32x8::ZERO; BLOCKS],
+            behind: [f32x8::ZERO; BLOCKS],
+            last: [f32x8::ZERO; BLOCKS],
+            deepest: [0; BLOCKS],
         };
-        for i in 0..HALF_ROWS {
-            let (x, y) = (8 * (i / ROWS), i % ROWS);
-            if y >= height {
-                continue;
-            }
+        for i in 0..BLOCKS {
+            let (x, y) = corner(i);
             let mut lanes = [[0.0f32; 8]; 7];
-            for lane in 0..width.saturating_sub(x).min(8) {
-                let p = pixel(x + lane, y);
+            for lane in 0..8 {
+                let (x, y) = (x + lane % 4, y + lane / 4);
+                if x >= width || y >= height {
+                    continue;
+                }
+                let p = pixel(x, y);
                 let values = [
                     p.d_color[0],
                     p.d_color[1],
@@ -73,7 +74,7 @@ impl TileBackward {
     /// entry of `list` that any pixel has met, with its sums over the tile's pixels, to `put`,
     /// last entry first.
     ///
-    /// Each lane sums its own pixels from the top row down; eight lanes become one by
+    /// Each lane sums its own pixels in the order of blocks; eight lanes become one by
     /// [`sums`].
     pub(crate) fn take_back<'a>(
         mut self,
@@ -84,8 +85,8 @@ impl TileBackward {
         mut put: impl FnMut(usize, &SplatSums<f32>),
     ) {
         let [min_alpha, max_alpha] = [MIN_ALPHA, MAX_ALPHA].map(|v| f32x8::splat(f32::from_f64(v)));
-        // Half-rows ordered by where their way back begins; those that have begun.
-        let mut waiting: Vec<(usize, u32)> = (0..HALF_ROWS)
+        // Blocks ordered by where their way back begins; those that have begun.
+        let mut waiting: Vec<(usize, u32)> = (0..BLOCKS)
             .map(|i| (self.deepest[i] as usize, 1u32 << i))
             .collect();
         waiting.sort_unstable();
@@ -104,15 +105,14 @@ impl TileBackward {
                 continue;
             }
             let rank = f32x8::splat(entry as f32);
-            let dx = distances(splat, x);
             let color = splat.color.map(f32x8::splat);
             let depth = f32x8::splat(splat.depth_m);
             let mut sum = [f32x8::ZERO; 10];
             while reach != 0 {
-                let i = reach.trailing_zeros() as usize % HALF_ROWS;
+                let i = reach.trailing_zeros() as usize % BLOCKS;
                 reach &= reach - 1;
-                let dy = (y + (i % ROWS) as f32) - splat.mean_px[1];
-                let density = density(splat, dx[i / ROWS], dy);
+                let [dx, dy] = distances(splat, [x, y], i);
+                let density = density(splat, dx, dy);
                 let alpha = max_alpha.fast_min(density);
                 let take = alpha.simd_ge(min_alpha) & self.last[i].simd_gt(rank);
                 let through = f32x8::ONE - alpha;
@@ -135,15 +135,14 @@ impl TileBackward {
                     ClampGradient::PassThrough => take,
                 };
                 let g = (density * d_alpha) & felt;
-                let dy8 = f32x8::splat(dy);
-                let r = dx[i / ROWS] + f32x8::splat(splat.shear * dy);
-                let (gr, gy) = (g * r, g * dy8);
+                let r = dx + f32x8::splat(splat.shear) * dy;
+                let (gr, gy) = (g * r, g * dy);
                 sum[0] += g;
                 sum[1] += gr;
                 sum[2] += gy;
                 sum[3] += gr * r;
-                sum[4] += gr * dy8;
-                sum[5] += gy * dy8;
+                sum[4] += gr * dy;
+                sum[5] += gy * dy;
             }
             let [g, r, y, rr] = sums([sum[0], sum[1], sum[2], sum[3]]);
             let [ry, yy, red, green] = sums([sum[4], sum[5], sum[6], sum[7]]);

@@ -3,61 +3,69 @@
 use garad_core::Real;
 use wide::f32x8;
 
-use super::lanes::{STEPS, exp_nonpositive};
-use super::splat::{ROWS, Splat};
+use super::lanes::{COLUMNS, ROWS, exp_nonpositive};
+use super::splat::Splat;
 use crate::composite::{MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
 
-/// Half-rows of eight pixels in a tile. Half-row i holds columns 0 to 7 of row i, half-row
-/// 16 + i the other eight.
-pub(crate) const HALF_ROWS: usize = 2 * ROWS;
+/// Blocks of 4 x 2 pixels in a tile: fewer of them than of rows of eight are cut by an ellipse.
+pub(crate) const BLOCKS: usize = 32;
+
+/// Column and row of block i's first pixel: blocks run down the tile's first four columns, then
+/// the next four.
+#[inline(always)]
+pub(crate) const fn corner(i: usize) -> (usize, usize) {
+    (i / 8 * 4, i % 8 * 2)
+}
 
 /// The pixels of a tile.
 #[derive(Debug)]
 pub(crate) struct TilePixels {
     /// Share of light that is left; negative once the pixel is finished.
-    pub(crate) transmittance: [f32x8; HALF_ROWS],
-    pub(crate) color: [[f32x8; 3]; HALF_ROWS],
-    pub(crate) depth: [f32x8; HALF_ROWS],
+    pub(crate) transmittance: [f32x8; BLOCKS],
+    pub(crate) color: [[f32x8; 3]; BLOCKS],
+    pub(crate) depth: [f32x8; BLOCKS],
     /// Splats blended, as a number: fewer than 2400 fit between T = 1 and 1e-4.
-    pub(crate) contributors: [f32x8; HALF_ROWS],
+    pub(crate) contributors: [f32x8; BLOCKS],
     /// Rank of the last of them, exact below 2²⁴.
-    pub(crate) last: [f32x8; HALF_ROWS],
+    pub(crate) last: [f32x8; BLOCKS],
 }
 
-/// What [`crate::composite`] calls density: opacity e^power, at eight columns of the row at
-/// distance `dy` from the centre. Same operations, same order.
+/// What [`crate::composite`] calls density: opacity e^power, at eight distances from the centre.
+/// Same operations, same order.
 #[inline(always)]
-pub(crate) fn density(splat: &Splat, dx: f32x8, dy: f32) -> f32x8 {
-    let along = dx + f32x8::splat(splat.shear * dy);
-    let across = f32x8::splat(splat.inv_var_y * dy * dy);
+pub(crate) fn density(splat: &Splat, dx: f32x8, dy: f32x8) -> f32x8 {
+    let along = dx + f32x8::splat(splat.shear) * dy;
+    let across = f32x8::splat(splat.inv_var_y) * dy * dy;
     let power = f32x8::splat(-0.5) * (f32x8::splat(splat.a) * along * along + across);
     f32x8::splat(splat.opacity) * exp_nonpositive(power)
 }
 
-/// Horizontal distances from the centre, of both halves of a row that starts at `x`.
+/// Distances from the centre of block i of the tile at (`x`, `y`).
 #[inline(always)]
-pub(crate) fn distances(splat: &Splat, x: f32) -> [f32x8; 2] {
-    [x, x + 8.0].map(|x| (f32x8::splat(x) + STEPS) - f32x8::splat(splat.mean_px[0]))
+pub(crate) fn distances(splat: &Splat, [x, y]: [f32; 2], i: usize) -> [f32x8; 2] {
+    let (column, row) = corner(i);
+    [
+        (f32x8::splat(x + column as f32) + COLUMNS) - f32x8::splat(splat.mean_px[0]),
+        (f32x8::splat(y + row as f32) + ROWS) - f32x8::splat(splat.mean_px[1]),
+    ]
 }
 
 impl TilePixels {
     /// Nothing has arrived yet; pixels beyond `width` x `height` are finished.
     fn new(width: usize, height: usize) -> Self {
-        let mut transmittance = [f32x8::splat(-1.0); HALF_ROWS];
+        let mut transmittance = [f32x8::splat(-1.0); BLOCKS];
         for (i, t) in transmittance.iter_mut().enumerate() {
-            let columns = width.saturating_sub(8 * (i / ROWS));
-            if i % ROWS < height {
-                let mut lanes = [-1.0; 8];
-                lanes[..columns.min(8)].fill(1.0);
-                *t = f32x8::new(lanes);
-            }
+            let (x, y) = corner(i);
+            let inside = |lane: usize| x + lane % 4 < width && y + lane / 4 < height;
+            let lanes = [0, 1, 2, 3, 4, 5, 6, 7];
+            *t = f32x8::new(lanes.map(|lane| if inside(lane) { 1.0 } else { -1.0 }));
         }
         Self {
             transmittance,
-            color: [[f32x8::ZERO; 3]; HALF_ROWS],
-            depth: [f32x8::ZERO; HALF_ROWS],
-            contributors: [f32x8::ZERO; HALF_ROWS],
-            last: [f32x8::ZERO; HALF_ROWS],
+            color: [[f32x8::ZERO; 3]; BLOCKS],
+            depth: [f32x8::ZERO; BLOCKS],
+            contributors: [f32x8::ZERO; BLOCKS],
+            last: [f32x8::ZERO; BLOCKS],
         }
     }
 
@@ -73,7 +81,7 @@ impl TilePixels {
     ) -> Self {
         let mut pixels = Self::new(width, height);
         let mut open = u32::MAX;
-        for i in 0..HALF_ROWS {
+        for i in 0..BLOCKS {
             pixels.note_closed(i, &mut open);
         }
         let [min_alpha, max_alpha, min_t] =
@@ -89,14 +97,13 @@ impl TilePixels {
             if reach == 0 {
                 continue;
             }
-            let dx = distances(splat, x);
             let color = splat.color.map(f32x8::splat);
             let depth = f32x8::splat(splat.depth_m);
             while reach != 0 {
-                let i = reach.trailing_zeros() as usize % HALF_ROWS;
+                let i = reach.trailing_zeros() as usize % BLOCKS;
                 reach &= reach - 1;
-                let dy = (y + (i % ROWS) as f32) - splat.mean_px[1];
-                let alpha = max_alpha.fast_min(density(splat, dx[i / ROWS], dy));
+                let [dx, dy] = distances(splat, [x, y], i);
+                let alpha = max_alpha.fast_min(density(splat, dx, dy));
                 let visible = alpha.simd_ge(min_alpha);
                 let t = pixels.transmittance[i];
                 let left = t * (f32x8::ONE - alpha);
@@ -115,7 +122,7 @@ impl TilePixels {
         pixels
     }
 
-    /// Clears bit i of `open` when no pixel of half-row i may still take light.
+    /// Clears bit i of `open` when no pixel of block i may still take light.
     #[inline(always)]
     fn note_closed(&self, i: usize, open: &mut u32) {
         // The mask of a vector's signs.
