@@ -1,0 +1,1 @@
+//! Which Gaussians move: cues, unary terms and a dense conditional random field by mean field.
