@@ -128,6 +128,40 @@ impl<T: Real> GaussianMap<T> {
         index
     }
 
+    /// Adds a copy of Gaussian i, with i as its parent, and returns its index. The copy has no
+    /// landmark of its own; its label is that of the parent.
+    pub fn push_copy(&mut self, i: usize) -> usize {
+        let index = self.len();
+        let k = self.coefficients();
+        self.means.push(self.means[i]);
+        self.log_scales.push(self.log_scales[i]);
+        self.quaternions.push(self.quaternions[i]);
+        self.opacity_logits.push(self.opacity_logits[i]);
+        self.sh.extend_from_within(i * k..(i + 1) * k);
+        self.landmark.push(None);
+        self.parent.push(u32::try_from(i).ok());
+        self.born.push(self.born[i]);
+        self.label.push(self.label[i]);
+        index
+    }
+
+    /// Raises the degree of the colours (3 at most); the new coefficients are 0, so that no colour
+    /// changes. A degree no higher than before changes nothing.
+    pub fn raise_sh_degree(&mut self, degree: usize) {
+        let degree = degree.min(crate::sh::MAX_DEGREE);
+        if degree <= self.sh_degree {
+            return;
+        }
+        let (before, after) = (self.coefficients(), coefficients(degree));
+        let mut sh = Vec::with_capacity(self.len() * after);
+        for row in self.sh.chunks_exact(before) {
+            sh.extend_from_slice(row);
+            sh.resize(sh.len() + after - before, [T::ZERO; 3]);
+        }
+        self.sh = sh;
+        self.sh_degree = degree;
+    }
+
     /// Keeps the Gaussians that `keep` names, in their order. Parents are rows of before and are
     /// forgotten.
     pub fn retain(&mut self, keep: impl Fn(usize) -> bool) {
@@ -253,6 +287,37 @@ mod tests {
         assert!((map.means[1][0] - 3.0).abs() < 1e-15, "mean of the last");
         let color = crate::sh::color(1, map.sh_of(1), [0.0, 0.0, 1.0]);
         assert!((color[0] - 0.3).abs() < 1e-15, "colour of the last");
+    }
+
+    #[test]
+    fn a_copy_is_the_parent_without_its_landmark() {
+        let mut map = GaussianMap::<f64>::new(1);
+        map.push(&one());
+        map.label[0] = Label::Dynamic;
+        map.sh[2] = [0.5; 3];
+        assert_eq!(map.push_copy(0), 1, "appended");
+        map.validate().expect("consistent");
+        assert_eq!(map.sh_of(1), map.sh_of(0), "colour");
+        assert_eq!(
+            (map.parent[1], map.landmark[1], map.label[1]),
+            (Some(0), None, Label::Dynamic),
+            "parent, landmark, label"
+        );
+    }
+
+    #[test]
+    fn a_higher_degree_changes_no_colour() {
+        let mut map = GaussianMap::<f64>::new(0);
+        map.push(&one());
+        map.push(&one());
+        let before = crate::sh::color(0, map.sh_of(1), [0.6, 0.0, 0.8]);
+        map.raise_sh_degree(2);
+        map.validate().expect("consistent");
+        assert_eq!(map.sh_of(1).len(), 9, "degree 2");
+        let after = crate::sh::color(2, map.sh_of(1), [0.6, 0.0, 0.8]);
+        assert_eq!(before, after, "new coefficients are 0");
+        map.raise_sh_degree(1);
+        assert_eq!(map.sh_degree(), 2, "never lower");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! Everything above this crate shares these types, and this crate knows of nothing above it.
 //! Reading order: [`real`] (where every transcendental function comes from) → [`so3`], [`se3`]
-//! (poses) → [`camera`] (projection, distortion) → [`image`], [`pyramid`] → [`gaussian`], [`sh`]
+//! (poses) → [`camera`] (projection, distortion) → [`image`], [`undistort`], [`pyramid`] → [`gaussian`], [`sh`]
 //! (the map) → [`par`] (threads that never change a result).
 
 pub mod camera;
@@ -18,6 +18,7 @@ pub mod se3;
 pub mod sh;
 pub mod so3;
 pub mod trajectory;
+pub mod undistort;
 
 pub use camera::{Camera, CameraError, Distortion};
 pub use gaussian::{GaussianMap, NewGaussian};

@@ -97,8 +97,25 @@ impl<T: Real> Adam<T> {
         gradient: &[T],
         learning_rate: f64,
     ) -> Result<(), OptimError> {
+        self.step_by_column(parameters, gradient, &vec![learning_rate; self.width])
+    }
+
+    /// [`Adam::step`] with a learning rate for each of the `width` columns.
+    ///
+    /// # Errors
+    /// As [`Adam::step`]; [`OptimError::SizeMismatch`] unless there is a rate per column.
+    pub fn step_by_column(
+        &mut self,
+        parameters: &mut [T],
+        gradient: &[T],
+        learning_rates: &[f64],
+    ) -> Result<(), OptimError> {
         same_length("parameters", self.moments.len(), parameters.len())?;
-        check_step(parameters, gradient, learning_rate)?;
+        same_length("learning rates", self.width, learning_rates.len())?;
+        for rate in learning_rates {
+            check_rate(*rate)?;
+        }
+        check_gradient(parameters, gradient)?;
         let AdamConfig { beta1, beta2, eps } = self.config;
         self.beta_powers[0] *= beta1;
         self.beta_powers[1] *= beta2;
@@ -106,16 +123,38 @@ impl<T: Real> Adam<T> {
         let c = T::from_f64;
         let (keep1, add1) = (c(beta1), c(1.0 - beta1));
         let (keep2, add2) = (c(beta2), c(1.0 - beta2));
-        let (rate, root, eps) = (
-            c(learning_rate / correction1),
-            c(correction2).sqrt(),
-            c(eps),
-        );
-        for ((p, &g), [m, v]) in parameters.iter_mut().zip(gradient).zip(&mut self.moments) {
-            *m = keep1 * *m + add1 * g;
-            *v = keep2 * *v + add2 * g * g;
-            *p -= rate * (*m / (v.sqrt() / root + eps));
+        let rates: Vec<T> = learning_rates.iter().map(|r| c(r / correction1)).collect();
+        let (root, eps) = (c(correction2).sqrt(), c(eps));
+        let rows = parameters
+            .chunks_exact_mut(self.width)
+            .zip(gradient.chunks_exact(self.width))
+            .zip(self.moments.chunks_exact_mut(self.width));
+        for ((p, g), moments) in rows {
+            for (((p, &g), [m, v]), &rate) in p.iter_mut().zip(g).zip(moments).zip(&rates) {
+                *m = keep1 * *m + add1 * g;
+                *v = keep2 * *v + add2 * g * g;
+                *p -= rate * (*m / (v.sqrt() / root + eps));
+            }
         }
+        Ok(())
+    }
+
+    /// Rows of `width` numbers from now on, none fewer than before; the moments of new columns
+    /// are 0.
+    ///
+    /// # Errors
+    /// [`OptimError::SizeMismatch`] for fewer columns.
+    pub fn widen(&mut self, width: usize) -> Result<(), OptimError> {
+        if width < self.width {
+            return same_length("columns", self.width, width);
+        }
+        let mut moments = Vec::with_capacity(self.rows() * width);
+        for row in self.moments.chunks_exact(self.width) {
+            moments.extend_from_slice(row);
+            moments.resize(moments.len() + width - self.width, [T::ZERO; 2]);
+        }
+        self.moments = moments;
+        self.width = width;
         Ok(())
     }
 
@@ -158,7 +197,8 @@ pub fn sgd<T: Real>(
     gradient: &[T],
     learning_rate: f64,
 ) -> Result<(), OptimError> {
-    check_step(parameters, gradient, learning_rate)?;
+    check_rate(learning_rate)?;
+    check_gradient(parameters, gradient)?;
     let rate = T::from_f64(learning_rate);
     for (p, &g) in parameters.iter_mut().zip(gradient) {
         *p -= rate * g;
@@ -166,16 +206,17 @@ pub fn sgd<T: Real>(
     Ok(())
 }
 
-fn check_step<T: Real>(
-    parameters: &[T],
-    gradient: &[T],
-    learning_rate: f64,
-) -> Result<(), OptimError> {
-    same_length("gradient", parameters.len(), gradient.len())?;
-    // 0 is a group at rest.
-    if !(learning_rate.is_finite() && learning_rate >= 0.0) {
-        positive("learning rate", 0, learning_rate)?;
+/// 0 is a group at rest.
+fn check_rate(learning_rate: f64) -> Result<(), OptimError> {
+    if learning_rate.is_finite() && learning_rate >= 0.0 {
+        Ok(())
+    } else {
+        positive("learning rate", 0, learning_rate)
     }
+}
+
+fn check_gradient<T: Real>(parameters: &[T], gradient: &[T]) -> Result<(), OptimError> {
+    same_length("gradient", parameters.len(), gradient.len())?;
     match gradient.iter().position(|g| !g.is_finite()) {
         Some(index) => Err(OptimError::NotFinite {
             what: "gradient",
@@ -204,6 +245,34 @@ mod tests {
 
     fn adam(rows: usize, width: usize) -> Adam<f64> {
         Adam::new(AdamConfig::default(), rows, width).expect("the usual numbers")
+    }
+
+    #[test]
+    fn columns_have_their_own_rates_and_new_ones_start_at_rest() {
+        let mut state = adam(2, 1);
+        let mut p = [1.0, 2.0];
+        state.step(&mut p, &[1.0, -1.0], 0.1).expect("a step");
+        state.widen(2).expect("wider");
+        assert_eq!(state.rows(), 2, "as many rows");
+        let mut wide = [p[0], 0.0, p[1], 0.0];
+        let mut apart = adam(2, 1);
+        let mut alone = [1.0, 2.0];
+        apart.step(&mut alone, &[1.0, -1.0], 0.1).expect("a step");
+        apart.step(&mut alone, &[0.5, 0.5], 0.1).expect("a step");
+        state
+            .step_by_column(&mut wide, &[0.5, 1.0, 0.5, 1.0], &[0.1, 0.0])
+            .expect("a step");
+        assert_eq!(
+            [wide[0], wide[2]],
+            alone,
+            "the old column goes on as it was"
+        );
+        assert_eq!([wide[1], wide[3]], [0.0; 2], "a rate of 0 is rest");
+        assert!(state.widen(1).is_err(), "never narrower");
+        assert!(
+            state.step_by_column(&mut wide, &[0.0; 4], &[0.1]).is_err(),
+            "a rate per column"
+        );
     }
 
     #[test]
