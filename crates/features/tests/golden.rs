@@ -5,10 +5,14 @@ use garad_features::epipolar::{
     RansacConfig, eight_point, fundamental, fundamental_ransac, point_to_line_px, sampson_px2,
 };
 use garad_features::fast9::{self, Window};
+use garad_features::flow::{FlowFit, chi2_2dof_quantile};
 use garad_features::lk::{self, reference::scharr};
 use garad_features::matching::nearest;
 use garad_features::orb::{blur, orientation};
-use garad_features::{Descriptor, LkConfig, LkPyramid, MatchConfig, OrbConfig, OrbExtractor};
+use garad_features::{
+    Descriptor, FlowConfig, FlowEstimator, FlowForm, FlowPoint, LkConfig, LkPyramid, MatchConfig,
+    OrbConfig, OrbExtractor, verify_flow,
+};
 use garad_golden::{Case, Tensor};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
@@ -261,5 +265,58 @@ fn epipolar() {
         let (recall, precision) = (kept_right / right, kept_right / kept);
         let verdict = format!("{}: recall {recall}, precision {precision}", case.name());
         assert!(recall >= 0.97 && precision >= 0.97, "{verdict}");
+    }
+}
+
+/// Flow vectors of a case, with predictions where it has them.
+fn flow_points(case: &Case, who: &str) -> Vec<FlowPoint> {
+    let flow = pixels(case.input(&format!("{who}_flow")));
+    let predicted = match case.try_input(&format!("{who}_predicted")) {
+        Some(tensor) => pixels(tensor).into_iter().map(Some).collect(),
+        None => vec![None; flow.len()],
+    };
+    let both = flow.into_iter().zip(predicted);
+    both.map(|(flow, predicted)| FlowPoint { flow, predicted })
+        .collect()
+}
+
+#[test]
+fn flow() {
+    for case in Case::load_all("flow") {
+        let estimator = match case.param_str("estimator") {
+            "moments" => FlowEstimator::Moments,
+            "median_mad" => FlowEstimator::MedianMad,
+            "trimmed" => FlowEstimator::Trimmed,
+            other => panic!("{}: no estimator {other}", case.name()),
+        };
+        let form = match case.param_str("form") {
+            "raw" => FlowForm::Raw,
+            "residual" => FlowForm::Residual,
+            other => panic!("{}: no form {other}", case.name()),
+        };
+        let config = FlowConfig {
+            form,
+            estimator,
+            covariance_floor_px2: case.param_f64("covariance_floor_px2"),
+            min_support: 3,
+            chi2: case.param_f64("chi2"),
+        };
+        let [fixed, suspects] = ["static", "suspect"].map(|who| flow_points(&case, who));
+        let found = verify_flow(&fixed, &suspects, &config).expect("finite flow");
+        let FlowFit::Model(model) = found.fit else {
+            panic!("{}: {:?}", case.name(), found.fit);
+        };
+        check(&case, "mean", model.mean.iter().copied());
+        check(&case, "covariance", model.covariance.iter().copied());
+        check(&case, "support", [count(model.support)]);
+        let verdicts = found.verdicts.iter().map(|v| v.expect("a model"));
+        check(&case, "distance2", verdicts.clone().map(|v| v.distance2));
+        check(&case, "inside", verdicts.map(|v| u8::from(v.inside)));
+        let levels = case.input("levels").f64();
+        check(
+            &case,
+            "quantiles",
+            levels.iter().map(|&p| chi2_2dof_quantile(p)),
+        );
     }
 }

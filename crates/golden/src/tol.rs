@@ -135,6 +135,12 @@ pub const TABLE: &[Tolerance] = &[
     // epipolar: products of a few matrices in f64
     vector("epipolar.fundamental", 0.0, 1e-12, "three products of 3x3 matrices, scaled and signed alike"),
     abs_rel("epipolar.distance", 1e-10, 1e-10, "a quotient whose numerator cancels near the line, f = 500 px"),
+    // flow: moments of some hundred vectors in f64
+    vector("flow.mean", 0.0, 2e-15, "a sum of some hundred terms of one size"),
+    vector("flow.covariance", 0.0, 4e-15, "as the mean, squared"),
+    abs_rel("flow.distance2", 2e-15, 1e-14, "relative to the mean's rounding over the distance from it, near the mean"),
+    abs_rel("flow.distance2_needle", 0.0, 5e-12, "measured 2.4e-12: correlation 0.9999 turns the 5e-16 of a sum of 100 products into 5000 times as much"),
+    abs_rel("flow.quantile", 0.0, 1e-15, "one logarithm"),
     // trajectory
     abs_rel("trajectory.rotation", 2e-15, 0.0, "entries of R; eigenvectors of a 4x4 matrix"),
     abs_rel("trajectory.rotation_narrow", 1e-10, 0.0, "1e-16 over the ratio 1e-6 of the variances across and along the line"),
