@@ -3,8 +3,22 @@
 use garad_core::{Image, Label, MaskImage, Par, Real, Rng};
 use garad_golden::{Case, compare::compare, tol};
 use garad_raster::RasterError;
-use garad_raster::losses::{PictureLoss, depth_l1, l1, opacity_penalty, photometric, ssim};
+use garad_raster::losses::{
+    PictureLoss, depth_l1, l1, opacity_penalty, photometric, reference, ssim,
+};
 use proptest::prelude::*;
+
+type LossOf<T> = Result<PictureLoss<T>, RasterError>;
+type Ssim<T> = fn(&Image<[T; 3]>, &Image<[T; 3]>, Option<&MaskImage>, Par) -> LossOf<T>;
+type Photometric<T> = fn(&Image<[T; 3]>, &Image<[T; 3]>, f64, Option<&MaskImage>, Par) -> LossOf<T>;
+
+/// What runs and what it is held to: every test of the one is a test of the other.
+fn forms<T: Real>() -> [(&'static str, Ssim<T>, Photometric<T>); 2] {
+    [
+        ("sweep", ssim, photometric),
+        ("reference", reference::ssim, reference::photometric),
+    ]
+}
 
 fn size(case: &Case, name: &str) -> (usize, usize) {
     let shape = case.input(name).shape();
@@ -32,7 +46,11 @@ fn mask(case: &Case) -> Option<MaskImage> {
 }
 
 /// Every output under the name it has in `case.json`.
-fn outputs<T: Real>(case: &Case) -> Vec<(&'static str, Vec<f64>)> {
+fn outputs<T: Real>(
+    case: &Case,
+    ssim: Ssim<T>,
+    photometric: Photometric<T>,
+) -> Vec<(&'static str, Vec<f64>)> {
     let mask = mask(case);
     let excluded = mask.as_ref();
     let wide = |v: &[T]| v.iter().map(|v| v.to_f64()).collect::<Vec<_>>();
@@ -88,17 +106,21 @@ fn outputs<T: Real>(case: &Case) -> Vec<(&'static str, Vec<f64>)> {
 #[test]
 fn losses_in_f64() {
     for case in Case::load_all("losses") {
-        for (name, got) in outputs::<f64>(&case) {
-            case.check(name, &got)
-                .unwrap_or_else(|report| panic!("{report}"));
+        for (by, ssim, photometric) in forms::<f64>() {
+            for (name, got) in outputs(&case, ssim, photometric) {
+                case.check(name, &got)
+                    .unwrap_or_else(|report| panic!("{by}: {report}"));
+            }
         }
     }
 }
 
 #[test]
 fn losses_in_f32() {
-    for case in Case::load_all("losses") {
-        for (name, got) in outputs::<f32>(&case) {
+    let cases = Case::load_all("losses");
+    for (case, (by, ssim, photometric)) in cases.iter().flat_map(|c| forms::<f32>().map(|f| (c, f)))
+    {
+        for (name, got) in outputs(case, ssim, photometric) {
             let tolerance = match name {
                 "value" if case.has_flag("flat") => "losses.f32.value_flat",
                 "value" => "losses.f32.value",
@@ -106,7 +128,11 @@ fn losses_in_f32() {
             };
             let tolerance = tol::find(tolerance).expect("in the table");
             let verdict = compare(case.output(name), &got, tolerance).expect("same count");
-            assert!(verdict.passed, "{} '{name}': {verdict}", case.name());
+            assert!(
+                verdict.passed,
+                "{} '{name}' by {by}: {verdict}",
+                case.name()
+            );
         }
     }
 }
@@ -155,27 +181,73 @@ fn gradients_are_derivatives() {
     );
     for excluded in [None, Some(&mask)] {
         assert_is_derivative(&x, |x| l1(x, &y, excluded).expect("fits"));
-        assert_is_derivative(&x, |x| ssim(x, &y, excluded, Par::Seq).expect("fits"));
-        assert_is_derivative(&x, |x| {
-            photometric(x, &y, 0.2, excluded, Par::Seq).expect("fits")
-        });
+        for (_, ssim, photometric) in forms::<f64>() {
+            assert_is_derivative(&x, |x| ssim(x, &y, excluded, Par::Seq).expect("fits"));
+            assert_is_derivative(&x, |x| {
+                photometric(x, &y, 0.2, excluded, Par::Seq).expect("fits")
+            });
+        }
     }
 }
 
 #[test]
 fn equal_pictures_are_at_the_bottom() {
     let x = noise(7, 14, 13);
-    let same = ssim(&x, &x, None, Par::Seq).expect("fits");
-    assert!((same.value - 1.0).abs() < 1e-15, "{}", same.value);
-    let slope = same
-        .gradient
-        .data()
-        .as_flattened()
-        .iter()
-        .fold(0.0f64, |m, v| m.max(v.abs()));
-    assert!(slope < 1e-15, "the summit is flat: {slope:e}");
-    let zero = photometric(&x, &x, 0.2, None, Par::Seq).expect("fits");
-    assert!(zero.value.abs() < 1e-15, "{}", zero.value);
+    for (by, ssim, photometric) in forms::<f64>() {
+        let same = ssim(&x, &x, None, Par::Seq).expect("fits");
+        assert!((same.value - 1.0).abs() < 1e-15, "{by}: {}", same.value);
+        let slope = largest(&same.gradient);
+        assert!(slope < 1e-15, "{by}: the summit is flat: {slope:e}");
+        let zero = photometric(&x, &x, 0.2, None, Par::Seq).expect("fits");
+        assert!(zero.value.abs() < 1e-15, "{by}: {}", zero.value);
+    }
+}
+
+fn largest<T: Real>(picture: &Image<[T; 3]>) -> f64 {
+    let numbers = picture.data().as_flattened().iter();
+    numbers.fold(0.0, |m, v| m.max(v.to_f64().abs()))
+}
+
+/// Bands end inside the picture and threads disagree about where; each pixel is still judged by
+/// the same operations and each sum has one order.
+#[test]
+fn bands_and_threads_change_no_bit() {
+    for (w, h) in [(37, 150), (3, 97), (1, 64), (64, 1)] {
+        let (x, y) = (noise(1, w, h), noise(2, w, h));
+        let mask = Image::from_fn(w, h, |u, v| u8::from((u + 3 * v) % 7 == 0));
+        for excluded in [None, Some(&mask)] {
+            let one = photometric(&x, &y, 0.2, excluded, Par::Seq).expect("fits");
+            for threads in [2, 3, 8] {
+                let many = photometric(&x, &y, 0.2, excluded, Par::new(threads));
+                assert!(many.as_ref() == Ok(&one), "{w} x {h}, {threads} threads");
+            }
+        }
+    }
+}
+
+/// The sweep in f64 is the reference but for rounding, over several bands and with holes.
+#[test]
+fn the_sweep_is_the_reference() {
+    for (w, h) in [(90, 140), (7, 200), (1, 1), (40, 5)] {
+        let (x, y) = (noise(3, w, h), noise(4, w, h));
+        let mut rng = Rng::new(8);
+        let mask = Image::from_fn(w, h, |_, _| if rng.uniform() < 0.2 { 255u8 } else { 0 });
+        for excluded in [None, Some(&mask)] {
+            let plain = reference::photometric(&x, &y, 0.2, excluded, Par::Seq).expect("fits");
+            let ours = photometric(&x, &y, 0.2, excluded, Par::Threads(2)).expect("fits");
+            assert_eq!(ours.pixels, plain.pixels, "{w} x {h}");
+            let value = (ours.value - plain.value).abs();
+            assert!(value < 4e-15, "{w} x {h}: value off by {value:e}");
+            let size = largest(&plain.gradient).max(1e-300);
+            let pairs = ours.gradient.data().iter().zip(plain.gradient.data());
+            for (a, b) in pairs.flat_map(|(a, b)| a.iter().zip(b)) {
+                assert!(
+                    (a - b).abs() < 2e-14 * size,
+                    "{w} x {h}: {a:e} against {b:e}"
+                );
+            }
+        }
+    }
 }
 
 proptest! {

@@ -2,17 +2,19 @@
 
 use garad_core::{Image, MaskImage, Par, Real};
 
-use super::{PictureLoss, l1, ssim};
+use super::sweep::sweep;
+use super::{PictureLoss, check_lambda, check_sizes};
 use crate::error::RasterError;
 
 /// (1 - λ) L1 + λ (1 - SSIM) and its gradient (O3).
 ///
-/// Source: paper eq. 13, with λ = 0.2 as in 3D Gaussian Splatting. Golden: `losses/photometric_*`.
+/// Source: paper eq. 13, with λ = 0.2 as in 3D Gaussian Splatting.
+/// Plain form: [`super::reference::photometric`]. Golden: `losses/photometric_*`.
 ///
 /// # Shapes and units
 /// Colours in [0, 1]; `lambda` in [0, 1]; the gradient is by `rendered`.
 /// # Numerics
-/// As [`l1()`] and [`ssim()`]; the same bits for every `par`.
+/// As [`super::l1()`] and [`super::ssim()`], in one sweep; the same bits for every `par`.
 /// # Errors
 /// [`RasterError::SizeMismatch`]; [`RasterError::Lambda`].
 pub fn photometric<T: Real>(
@@ -22,26 +24,18 @@ pub fn photometric<T: Real>(
     excluded: Option<&MaskImage>,
     par: Par,
 ) -> Result<PictureLoss<T>, RasterError> {
-    if !(0.0..=1.0).contains(&lambda) {
-        return Err(RasterError::Lambda { value: lambda });
-    }
-    let absolute = l1(rendered, target, excluded)?;
-    let structure = ssim(rendered, target, excluded, par)?;
-    let pixels = absolute.pixels;
-    let (keep, lambda) = (T::from_f64(1.0 - lambda), T::from_f64(lambda));
+    check_lambda(lambda)?;
+    check_sizes(rendered.size(), &[("target", target.size())], excluded)?;
+    let swept = sweep(rendered, target, excluded, [1.0 - lambda, -lambda], par);
     // Where nothing is judged SSIM is 0 for want of pixels, not of likeness.
-    let unlike = if pixels == 0 {
-        T::ZERO
+    let unlike = if swept.pixels == 0 {
+        0.0
     } else {
-        T::ONE - structure.value
+        1.0 - swept.structure
     };
-    let (width, height) = rendered.size();
     Ok(PictureLoss {
-        value: keep * absolute.value + lambda * unlike,
-        gradient: Image::from_fn(width, height, |x, y| {
-            let (a, s) = (absolute.gradient[(x, y)], structure.gradient[(x, y)]);
-            [0, 1, 2].map(|channel| keep * a[channel] - lambda * s[channel])
-        }),
-        pixels,
+        value: T::from_f64((1.0 - lambda) * swept.absolute + lambda * unlike),
+        gradient: swept.gradient,
+        pixels: swept.pixels,
     })
 }
