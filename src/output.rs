@@ -52,10 +52,11 @@ impl Judged {
         metrics.timing = result.stopwatch.summary();
         metrics.wall_s = Some(result.wall_s);
         metrics.peak_rss_mb = peak_rss_mb();
-        let gaussians = result.slam.gaussians();
-        metrics.map.gaussians = Some(gaussians.len());
-        let dynamic = gaussians.label.iter().filter(|l| **l == Label::Dynamic);
-        metrics.map.dynamic = Some(dynamic.count());
+        if let Some(gaussians) = result.slam.gaussians() {
+            metrics.map.gaussians = Some(gaussians.len());
+            let dynamic = gaussians.label.iter().filter(|l| **l == Label::Dynamic);
+            metrics.map.dynamic = Some(dynamic.count());
+        }
 
         let options = AteOptions::default();
         let (ate, protocol) = match ground_truth {
@@ -146,7 +147,7 @@ pub fn write(out: &Path, result: &RunResult, judged: &Judged, warnings: &[String
     )?;
     let map = write_ply(
         &out.join("map.ply"),
-        result.slam.gaussians(),
+        result.gaussians()?,
         &PlyOptions::default(),
     );
     let config = crate::config_file::write(result.slam.config())?;
@@ -213,7 +214,7 @@ fn draw(result: &RunResult, snapshot: &Snapshot) -> Result<Drawn> {
         None => None,
         Some(pose) => {
             let rendered = fast::render(
-                result.slam.gaussians(),
+                result.gaussians()?,
                 result.slam.camera(),
                 &pose.world_from_camera.inverse(),
                 &RenderOptions::default(),

@@ -1,10 +1,10 @@
 //! How much the map looks like the recording: every frame against the render from its pose.
 
 use anyhow::Result;
-use garad_core::{Camera, Distortion, GaussianMap, Image, Par, RgbImage, StampedPose};
+use garad_core::undistort::Undistortion;
+use garad_core::{Camera, Distortion, GaussianMap, Par, RgbImage, StampedPose};
 use garad_eval::{RenderMetrics, compare_pictures};
 use garad_raster::{Include, RenderOptions, fast};
-use nalgebra::Vector2;
 
 use crate::progress::Progress;
 use crate::runner::SourceFrame;
@@ -22,8 +22,8 @@ pub struct RenderQuality {
 
 /// PSNR and SSIM of every frame that has a pose, static Gaussians only, means over frames.
 ///
-/// Pictures of a distorted camera are undistorted first, to the nearest pixel. Frames that cannot
-/// be read count no more than frames without a pose.
+/// Pictures of a distorted camera are undistorted first (bilinear); pixels that the lens did not see
+/// do not count. Frames that cannot be read count no more than frames without a pose.
 ///
 /// # Errors
 /// If the map cannot be drawn.
@@ -39,6 +39,8 @@ pub fn judge(
         distortion: Distortion::default(),
         ..*camera
     };
+    let straight = Undistortion::new(camera);
+    let unseen = straight.unseen();
     let options = RenderOptions {
         include: Include::StaticOnly,
         ..RenderOptions::default()
@@ -52,10 +54,10 @@ pub fn judge(
         let camera_from_world = pose.world_from_camera.inverse();
         let rendered = fast::render(map, &pinhole, &camera_from_world, &options, par)?;
         let color = crate::pictures::color_picture(&rendered);
-        let truth = undistorted(camera, &frame.rgb);
-        all.add(compare_pictures(&color, &truth, None, par)?);
-        if let Some(mask) = &frame.mask
-            && let Ok(quality) = compare_pictures(&color, &truth, Some(mask), par)
+        let truth = straightened(&straight, &frame.rgb, par);
+        all.add(compare_pictures(&color, &truth, Some(&unseen), par)?);
+        if let Some(mask) = frame.mask.as_ref().map(|m| straight.nearest(m, 255))
+            && let Ok(quality) = compare_pictures(&color, &truth, Some(&mask), par)
         {
             outside.add(quality);
         }
@@ -77,24 +79,15 @@ fn pose_at(trajectory: &[StampedPose], t_s: f64) -> Option<&StampedPose> {
         .filter(|p| (p.t_s - t_s).abs() <= 1e-6)
 }
 
-/// What a pinhole would have seen, nearest pixel; outside the picture its rim is repeated.
+/// What a pinhole would have seen, in 8 bits.
 #[allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "float to integer saturates, and the result is cut to the picture"
+    reason = "a value in [0, 1] times 255, rounded"
 )]
-fn undistorted(camera: &Camera, rgb: &RgbImage) -> RgbImage {
-    if camera.distortion.is_none() {
-        return rgb.clone();
-    }
-    let nearest = |c: f64, last: usize| ((c + 0.5) as usize).min(last);
-    Image::from_fn(rgb.width(), rgb.height(), |x, y| {
-        let at = camera.distort_pixel(&Vector2::new(x as f64, y as f64));
-        rgb[(
-            nearest(at.x, rgb.width() - 1),
-            nearest(at.y, rgb.height() - 1),
-        )]
-    })
+fn straightened(straight: &Undistortion, rgb: &RgbImage, par: Par) -> RgbImage {
+    let to_u8 = |v: f32| (v * 255.0 + 0.5) as u8;
+    straight.color(rgb, par).map(|c| c.map(to_u8))
 }
 
 #[derive(Default)]

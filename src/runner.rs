@@ -1,13 +1,13 @@
 //! [`run`]: a recording through the system, frame by frame.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use garad_core::{Camera, Label, MaskImage, Par, RgbImage, StampedPose};
+use garad_core::{Camera, GaussianMap, Label, MaskImage, Par, RgbImage, StampedPose};
 use garad_slam::{Config, FrameInput, FrameReport, Slam, TrackingState};
 
 use crate::progress::Progress;
-use crate::stopwatch::Stopwatch;
+use crate::stopwatch::{SharedStopwatch, Stopwatch};
 
 /// A frame as the runner wants it.
 #[derive(Debug, Clone)]
@@ -99,6 +99,14 @@ pub struct RunResult {
 }
 
 impl RunResult {
+    /// The map of Gaussians.
+    ///
+    /// # Errors
+    /// If mapping is still under way (never after [`run`]).
+    pub fn gaussians(&self) -> Result<&GaussianMap> {
+        self.slam.gaussians().context("the map is not at rest")
+    }
+
     /// Frames with a pose.
     #[must_use]
     pub fn tracked(&self) -> usize {
@@ -122,8 +130,10 @@ pub fn run(
 ) -> Result<RunResult> {
     let begun = Instant::now();
     let par = Par::new(options.threads);
+    let mapping = SharedStopwatch::default();
     let mut slam = Slam::new(*camera, options.config.clone(), options.seed, par)
-        .context("the run cannot start")?;
+        .context("the run cannot start")?
+        .with_mapping_observer(Box::new(mapping.clone()));
     let mut result = Collected::default();
     let mut progress = Progress::new("tracking", total, options.quiet);
     let mut waiting = Instant::now();
@@ -153,7 +163,13 @@ pub fn run(
         waiting = Instant::now();
     }
     progress.finish();
+    let waiting = Instant::now();
+    slam.finish().context("the map is lost")?;
+    result.stopwatch.record("handover", waiting.elapsed());
     train(&mut slam, &mut result, options);
+    result.stopwatch.merge(&mapping.take());
+    let failed = slam.mapping_errors().iter().cloned();
+    result.skipped.extend(failed);
     Ok(RunResult {
         trajectory: slam.trajectory(),
         slam,
@@ -178,7 +194,7 @@ fn train(slam: &mut Slam, result: &mut Collected, options: &RunOptions) {
     let mut begun = Instant::now();
     let stopwatch = &mut result.stopwatch;
     let outcome = slam.refine_map(&mut |step| {
-        stopwatch.record("train", begun.elapsed());
+        stopwatch.record("refine", begun.elapsed());
         begun = Instant::now();
         progress.step(&format!("loss {:.4} at 1/{}", step.loss, 1 << step.level));
     });
@@ -205,9 +221,14 @@ impl Collected {
             depth: &frame.depth,
             mask: frame.mask.as_ref(),
         };
+        let waited_ms = self.stopwatch.total_ms("handover");
         let begun = Instant::now();
         let report = slam.process(&input, &mut self.stopwatch)?;
-        self.stopwatch.record("frame", begun.elapsed());
+        // Waiting for the map is not tracking; it has a line of its own.
+        let waited_ms = self.stopwatch.total_ms("handover") - waited_ms;
+        let waited = Duration::from_secs_f64(waited_ms.max(0.0) / 1e3);
+        let tracked = begun.elapsed().saturating_sub(waited);
+        self.stopwatch.record("frame", tracked);
         Ok(report)
     }
 }

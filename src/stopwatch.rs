@@ -1,6 +1,7 @@
 //! [`Stopwatch`]: how long each stage took. Clocks live here and nowhere below.
 
 use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use garad_eval::StageTiming;
@@ -26,6 +27,20 @@ impl Stopwatch {
     #[must_use]
     pub fn calls_ms(&self, stage: &str) -> &[f64] {
         self.durations_ms.get(stage).map_or(&[], Vec::as_slice)
+    }
+
+    /// All calls of a stage together, milliseconds.
+    #[must_use]
+    pub fn total_ms(&self, stage: &str) -> f64 {
+        self.calls_ms(stage).iter().sum()
+    }
+
+    /// Takes in the calls another one has collected.
+    pub fn merge(&mut self, other: &Self) {
+        for (stage, ms) in &other.durations_ms {
+            let all = self.durations_ms.entry(stage.clone()).or_default();
+            all.extend_from_slice(ms);
+        }
     }
 
     /// Median, 95th percentile and number of calls per stage.
@@ -54,6 +69,34 @@ impl Observer for Stopwatch {
         if let Some(begun) = self.begun.take() {
             self.record(stage.name(), begun.elapsed());
         }
+    }
+}
+
+/// A stopwatch that can be held from two threads.
+#[derive(Debug, Clone, Default)]
+pub struct SharedStopwatch(Arc<Mutex<Stopwatch>>);
+
+impl SharedStopwatch {
+    /// Gives what was collected so far, and starts anew.
+    #[must_use]
+    pub fn take(&self) -> Stopwatch {
+        std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+impl Observer for SharedStopwatch {
+    fn begin(&mut self, stage: Stage) {
+        self.0
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .begin(stage);
+    }
+
+    fn end(&mut self, stage: Stage) {
+        self.0
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .end(stage);
     }
 }
 

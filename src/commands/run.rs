@@ -129,7 +129,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let mut judged = Judged::new(dataset.name(), &result, ground_truth.as_deref(), protocol);
     if run_options.config.train.refine > 0 {
         let quality = render_quality::judge(
-            result.slam.gaussians(),
+            result.gaussians()?,
             result.slam.camera(),
             &result.trajectory,
             frames(&dataset, masks.as_deref()),

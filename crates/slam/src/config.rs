@@ -24,6 +24,10 @@ pub struct Config {
     pub seed: SeedConfig,
     /// Training of the map.
     pub train: TrainConfig,
+    /// Clone, split and prune.
+    pub densify: DensifyConfig,
+    /// Mapping beside tracking.
+    pub schedule: ScheduleConfig,
     /// What labels do to features.
     pub labels: LabelConfig,
 }
@@ -260,6 +264,8 @@ pub struct SeedConfig {
     pub explained_opacity: f64,
     /// Nor are pixels whose surface lies in front of the rendered one by more than this share.
     pub depth_ratio: f64,
+    /// A Gaussian for each new landmark, too, tagged with it.
+    pub landmarks: bool,
     /// Gaussians at most.
     pub max_gaussians: usize,
 }
@@ -273,6 +279,7 @@ impl Default for SeedConfig {
             opacity: 0.9,
             explained_opacity: 0.6,
             depth_ratio: 0.05,
+            landmarks: true,
             max_gaussians: 400_000,
         }
     }
@@ -282,7 +289,11 @@ impl Default for SeedConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainConfig {
-    /// Iterations after the last frame; 0 keeps the map as seeded.
+    /// Iterations for each new keyframe, while tracking goes on.
+    pub per_keyframe: usize,
+    /// Further iterations for each frame since the keyframe before.
+    pub per_frame: usize,
+    /// Iterations after the last frame.
     pub refine: usize,
     /// Uses of a keyframe at 1/4 and again at 1/2 of its size, before it is used whole.
     pub uses_per_level: usize,
@@ -292,27 +303,96 @@ pub struct TrainConfig {
     pub lambda_dynamic: f64,
     /// Share of 1 - SSIM in the photometric loss (eq. 13).
     pub lambda_ssim: f64,
-    /// Gaussians less opaque than this at the end are dropped.
-    pub min_opacity: f64,
-    /// Step sizes of Adam.
+    /// Weight of the depth error, 1/m. The paper has no such term: 0 is its loss.
+    pub lambda_depth: f64,
+    /// Who takes the steps.
+    pub optimiser: Optimiser,
+    /// Degree that the colours' spherical harmonics may reach, 0 to 3, ...
+    pub sh_degree: usize,
+    /// ... one more every so many iterations; 0: at once.
+    pub sh_every: usize,
+    /// Step sizes.
     pub rates: RateConfig,
+}
+
+/// The paper says "SGD" in its text; its code base and everything built on it uses Adam.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Optimiser {
+    /// Adam with the moments of 3D Gaussian Splatting.
+    #[default]
+    Adam,
+    /// Plain gradient descent with the same step sizes (a rate per group, that of its first
+    /// column).
+    Sgd,
 }
 
 impl Default for TrainConfig {
     fn default() -> Self {
         Self {
+            per_keyframe: 6,
+            per_frame: 1,
             refine: 0,
             uses_per_level: 8,
             lambda_photometric: 0.8,
             lambda_dynamic: 0.2,
             lambda_ssim: 0.2,
-            min_opacity: 0.005,
+            lambda_depth: 0.0,
+            optimiser: Optimiser::Adam,
+            sh_degree: 3,
+            sh_every: 1000,
             rates: RateConfig::default(),
         }
     }
 }
 
-/// Step sizes of Adam per kind of parameter, those of 3D Gaussian Splatting.
+/// Where Gaussians are added and dropped while the map learns (Kerbl et al. 2023).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DensifyConfig {
+    /// Off: only insertion adds Gaussians, only the end drops them.
+    pub enabled: bool,
+    /// Once in so many iterations.
+    pub every: usize,
+    /// Mean |∂L/∂ centre| from which a Gaussian is cloned or split, per unit of NDC.
+    pub pull: f64,
+    /// Those with a standard deviation above this share of the path's extent are split.
+    pub split_extent: f64,
+    /// Static Gaussians less opaque than this are dropped.
+    pub min_opacity: f64,
+    /// Gaussians at most, clones and children included.
+    pub max_gaussians: usize,
+}
+
+impl Default for DensifyConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            every: 100,
+            pull: 1e-3,
+            split_extent: 0.01,
+            min_opacity: 0.005,
+            max_gaussians: 400_000,
+        }
+    }
+}
+
+/// Mapping beside tracking, on a schedule of frame numbers (design section 6).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ScheduleConfig {
+    /// A keyframe's mapping is handed over to tracking this many frames later, neither sooner nor
+    /// later, whatever the machine: tracking waits if it has to.
+    pub handover_frames: u32,
+}
+
+impl Default for ScheduleConfig {
+    fn default() -> Self {
+        Self { handover_frames: 5 }
+    }
+}
+
+/// Step sizes per kind of parameter, those of 3D Gaussian Splatting.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RateConfig {
@@ -324,8 +404,10 @@ pub struct RateConfig {
     pub quaternion: f64,
     /// Opacity logits.
     pub opacity_logit: f64,
-    /// Spherical harmonics.
+    /// Spherical harmonics of degree 0.
     pub sh: f64,
+    /// The same divided by this: those of higher degrees.
+    pub sh_rest_divisor: f64,
 }
 
 impl Default for RateConfig {
@@ -336,6 +418,7 @@ impl Default for RateConfig {
             quaternion: 0.001,
             opacity_logit: 0.05,
             sh: 2.5e-3,
+            sh_rest_divisor: 20.0,
         }
     }
 }
@@ -396,6 +479,14 @@ impl Config {
              inside(0.0, t.motion_radius_px, 1e4), "a number in (0, 10000)"),
             ("train.lambda_ssim", self.train.lambda_ssim,
              (0.0..=1.0).contains(&self.train.lambda_ssim), "a number in [0, 1]"),
+            ("train.lambda_depth", self.train.lambda_depth,
+             self.train.lambda_depth >= 0.0 && self.train.lambda_depth.is_finite(), "0 or a positive number"),
+            ("train.sh_degree", self.train.sh_degree as f64, self.train.sh_degree <= 3, "0..3"),
+            ("train.rates.sh_rest_divisor", self.train.rates.sh_rest_divisor,
+             inside(0.0, self.train.rates.sh_rest_divisor, f64::INFINITY), positive),
+            ("densify.every", self.densify.every as f64, self.densify.every > 0, "at least 1"),
+            ("densify.pull", self.densify.pull, inside(0.0, self.densify.pull, f64::INFINITY), positive),
+            ("densify.min_opacity", self.densify.min_opacity, inside(0.0, self.densify.min_opacity, 1.0), share),
             ("keyframes.max_gap", self.keyframes.max_gap as f64, self.keyframes.max_gap > 0, "at least 1"),
             ("seed.stride_px", s.stride_px as f64, s.stride_px > 0, "at least 1"),
             ("seed.footprint", s.footprint, inside(0.0, s.footprint, f64::INFINITY), positive),

@@ -9,23 +9,24 @@
 //! [`frame`] (features, ideal pixels, depth at keypoints) → [`matching`] (landmarks found again)
 //! → [`tracker`] (prediction, pose, local map, state) → [`refine`] (matches sharpened) →
 //! [`keyframes`] (when to keep a frame, what it adds, what is thrown out) → [`local_ba`] (poses and
-//! landmarks together) → [`seed`] (Gaussians where the picture is not yet explained) → [`train`]
-//! (the map learns the pictures). [`recover`] finds a lost camera again.
+//! landmarks together) → [`schedule`] (mapping beside tracking) → [`mapper`] (Gaussians where the
+//! picture is not yet explained; the map learns the pictures). [`recover`] finds a lost camera
+//! again.
 
 pub mod config;
 pub mod frame;
 pub mod keyframes;
 pub mod local_ba;
 pub mod map;
+pub mod mapper;
 pub mod mask;
 pub mod matching;
 pub mod observer;
 pub mod recover;
 pub mod refine;
-pub mod seed;
+pub mod schedule;
 pub mod system;
 pub mod tracker;
-pub mod train;
 
 pub use config::{Config, ConfigError};
 pub use observer::{Observer, Silent, Stage};

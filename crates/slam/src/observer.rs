@@ -15,8 +15,12 @@ pub enum Stage {
     Keyframe,
     /// Local bundle adjustment.
     LocalBa,
-    /// Gaussians seeded from a keyframe's depth.
-    Seed,
+    /// Tracking waits for a mapping job that is due (one thread: the job itself).
+    Handover,
+    /// Gaussians inserted for a keyframe.
+    Insert,
+    /// One training iteration.
+    Train,
 }
 
 impl Stage {
@@ -30,12 +34,14 @@ impl Stage {
             Self::Recover => "recover",
             Self::Keyframe => "keyframe",
             Self::LocalBa => "local_ba",
-            Self::Seed => "seed",
+            Self::Handover => "handover",
+            Self::Insert => "insert",
+            Self::Train => "train",
         }
     }
 }
 
-/// Is told when a stage begins and ends. Stages do not nest.
+/// Is told when a stage begins and ends. Stages of one thread do not nest.
 pub trait Observer {
     /// The stage begins.
     fn begin(&mut self, stage: Stage);

@@ -4,19 +4,19 @@ use std::collections::BTreeMap;
 
 use garad_core::{
     Camera, CameraError, DepthImage, FrameId, GaussianMap, KeyframeId, Label, LandmarkId,
-    MaskImage, Par, Real, RgbImage, Se3, StampedPose,
+    MaskImage, Par, RgbImage, Se3, StampedPose,
 };
 use garad_features::{FeatureError, LkPyramid, OrbConfig, OrbExtractor};
-use nalgebra::Vector3;
 use thiserror::Error;
 
 use crate::config::{Config, ConfigError};
 use crate::frame::{Frame, Levels};
 use crate::map::Map;
+use crate::mapper::train::{TrainError, TrainStep};
+use crate::mapper::{Mapper, MappingJob, NewLandmark};
 use crate::observer::{Observer, Stage};
-use crate::seed::{Picture, seed_from_depth};
+use crate::schedule::{MappingObserver, Schedule};
 use crate::tracker::TrackingState;
-use crate::train::{TrainError, TrainStep, Trainer, TrainingView};
 
 /// One picture of the recording.
 #[derive(Debug, Clone, Copy)]
@@ -79,6 +79,9 @@ pub enum SlamError {
     /// The map could not be drawn or trained.
     #[error("training: {0}")]
     Train(#[from] TrainError),
+    /// The mapping thread broke down, and the map with it. The path stays.
+    #[error("the mapping thread broke down; expected it to answer")]
+    MappingLost,
     /// Features could not be found.
     #[error("frame {frame}: {source}")]
     Features {
@@ -114,13 +117,13 @@ pub struct Slam {
     levels: Levels,
     /// Pictures of the youngest keyframes, for refinement.
     pub(crate) pyramids: BTreeMap<KeyframeId, LkPyramid>,
-    gaussians: GaussianMap,
+    schedule: Schedule,
+    /// Where mapping stopped early, and why.
+    mapping_errors: Vec<String>,
     state: TrackingState,
     recovered_at: Option<FrameId>,
     next_frame: FrameId,
     records: Vec<Record>,
-    /// Pictures of keyframes, if the map will be trained on them.
-    pictures: Vec<(KeyframeId, RgbImage, Option<MaskImage>)>,
     pub(crate) par: Par,
 }
 
@@ -159,6 +162,9 @@ impl Slam {
             frame: FrameId(0),
             source,
         })?;
+        let mapper = Mapper::new(&camera, &config, seed, par)?;
+        let beside = par.threads() > 1;
+        let schedule = Schedule::new(mapper, config.schedule.handover_frames, beside);
         Ok(Self {
             camera,
             config,
@@ -173,24 +179,33 @@ impl Slam {
             extractor,
             levels,
             pyramids: BTreeMap::new(),
-            gaussians: GaussianMap::new(0),
+            schedule,
+            mapping_errors: Vec::new(),
             state: TrackingState::NotInitialised,
             recovered_at: None,
             next_frame: FrameId(0),
             records: Vec::new(),
-            pictures: Vec::new(),
             par,
         })
     }
 
-    /// Takes the next frame through tracking and, if it is kept, mapping.
+    /// Tells `observer` of the mapper's stages, from whatever thread it runs in. To be called before
+    /// the first frame.
+    #[must_use]
+    pub fn with_mapping_observer(mut self, observer: MappingObserver) -> Self {
+        self.schedule.observe(observer);
+        self
+    }
+
+    /// Takes the next frame through tracking and, if it is kept, starts its mapping. Mapping jobs
+    /// that are due are taken over first.
     ///
     /// A frame that cannot be tracked is not an error: the state turns to
     /// [`TrackingState::Lost`], and later frames are looked for among the keyframes.
     ///
     /// # Errors
     /// [`SlamError::SizeMismatch`] or [`SlamError::Features`]; the state before the frame stays,
-    /// and the next frame may be given.
+    /// and the next frame may be given. [`SlamError::MappingLost`].
     pub fn process(
         &mut self,
         input: &FrameInput<'_>,
@@ -199,6 +214,12 @@ impl Slam {
         let id = self.next_frame;
         self.next_frame = FrameId(id.0 + 1);
         self.check_sizes(id, input)?;
+        while self.schedule.is_due(id) {
+            observer.begin(Stage::Handover);
+            let taken = self.take_over();
+            observer.end(Stage::Handover);
+            taken?;
+        }
 
         observer.begin(Stage::Orb);
         let gray = input.rgb.to_gray();
@@ -241,7 +262,7 @@ impl Slam {
             // Before any adjustment: both poses of the difference stand on the same map.
             self.velocity = self.velocity_to(&frame);
             if self.map.keyframes().is_empty() || self.needs_keyframe(&frame, inliers) {
-                let keyframe = self.keep(frame.clone(), input, observer);
+                let keyframe = self.keep(frame.clone(), input, observer)?;
                 report.keyframe = Some(keyframe);
                 self.remember_picture(keyframe, pyramid);
                 // The adjusted keyframe is what the next frame starts from.
@@ -287,54 +308,52 @@ impl Slam {
             .collect()
     }
 
+    /// Takes over every mapping job under way. From here until the next keyframe
+    /// [`Slam::gaussians`] has an answer.
+    ///
+    /// # Errors
+    /// [`SlamError::MappingLost`].
+    pub fn finish(&mut self) -> Result<(), SlamError> {
+        while self.take_over()? {}
+        self.schedule.come_home()
+    }
+
     /// Trains the map on the keyframes' pictures for `config.train.refine` iterations, after the
     /// last frame; `on_step` is told of each. Gaussians that have faded are dropped.
     ///
     /// # Errors
     /// [`SlamError::Train`]; the map is then as it was after the last good iteration.
+    /// [`SlamError::MappingLost`].
     pub fn refine_map(&mut self, on_step: &mut dyn FnMut(&TrainStep)) -> Result<(), SlamError> {
-        let views = std::mem::take(&mut self.pictures)
-            .into_iter()
-            .map(|(id, rgb, mask)| {
-                let dilate_px = self.config.labels.dilate_px;
-                TrainingView::new(id, &self.camera, rgb, mask.as_ref(), dilate_px)
-            })
-            .collect();
-        let config = &self.config.train;
-        let mut trainer = Trainer::new(views, &self.gaussians, self.extent_m(), self.seed)
-            .map_err(TrainError::from)?;
-        for _ in 0..config.refine {
-            let pose_of = |k: KeyframeId| self.map.keyframe(k).camera_from_world;
-            match trainer.step(&mut self.gaussians, pose_of, config, self.par)? {
-                Some(step) => on_step(&step),
-                None => break,
-            }
-        }
-        if config.refine > 0 {
-            #[allow(clippy::cast_possible_truncation, reason = "the map is f32 by design")]
-            let faded = (config.min_opacity / (1.0 - config.min_opacity)) as f32;
-            let keep: Vec<bool> = self
-                .gaussians
-                .opacity_logits
-                .iter()
-                .map(|l| *l >= Real::ln(faded))
-                .collect();
-            self.gaussians.retain(|i| keep[i]);
-        }
-        Ok(())
+        self.finish()?;
+        let poses = self.keyframe_poses();
+        let iterations = self.config.train.refine;
+        let mapper = self.schedule.mapper_mut().ok_or(SlamError::MappingLost)?;
+        Ok(mapper.refine(iterations, poses, on_step)?)
     }
 
-    /// Extent of the camera's path: 1.1 times the largest distance of a keyframe from their mean,
-    /// at least a metre.
-    fn extent_m(&self) -> f64 {
-        let centers: Vec<_> = self.map.keyframes().iter().map(Frame::center).collect();
-        let n = centers.len().max(1) as f64;
-        let mean = centers.iter().fold(Vector3::zeros(), |sum, c| sum + c / n);
-        let radius = centers
+    /// Waits for the oldest job under way; `false` if there is none.
+    fn take_over(&mut self) -> Result<bool, SlamError> {
+        let Some(done) = self.schedule.take()? else {
+            return Ok(false);
+        };
+        tracing::debug!(
+            keyframe = done.keyframe.0,
+            inserted = done.inserted,
+            gaussians = done.gaussians,
+            loss = done.loss,
+            "mapped"
+        );
+        self.mapping_errors.extend(done.error);
+        Ok(true)
+    }
+
+    fn keyframe_poses(&self) -> Vec<Se3> {
+        self.map
+            .keyframes()
             .iter()
-            .map(|c| (c - mean).norm())
-            .fold(0.0, f64::max);
-        (1.1 * radius).max(1.0)
+            .map(|k| k.camera_from_world)
+            .collect()
     }
 
     /// Landmarks and keyframes.
@@ -343,10 +362,17 @@ impl Slam {
         &self.map
     }
 
-    /// The map of Gaussians.
+    /// The map of Gaussians; `None` while jobs are under way in another thread: call
+    /// [`Slam::finish`] before.
     #[must_use]
-    pub fn gaussians(&self) -> &GaussianMap {
-        &self.gaussians
+    pub fn gaussians(&self) -> Option<&GaussianMap> {
+        self.schedule.mapper().map(Mapper::gaussians)
+    }
+
+    /// Where mapping stopped early, and why; tracking is not touched by it.
+    #[must_use]
+    pub fn mapping_errors(&self) -> &[String] {
+        &self.mapping_errors
     }
 
     /// The last tracked frame, with the landmarks its keypoints were linked to.
@@ -462,13 +488,15 @@ impl Slam {
         }
     }
 
-    /// Keeps a frame: landmarks, bundle adjustment, Gaussians.
+    /// Keeps a frame: landmarks and bundle adjustment here, Gaussians in a mapping job.
     fn keep(
         &mut self,
         frame: Frame,
         input: &FrameInput<'_>,
         observer: &mut dyn Observer,
-    ) -> KeyframeId {
+    ) -> Result<KeyframeId, SlamError> {
+        let frame_id = frame.id;
+        let since_last = (frame_id.0 - self.last_keyframe_frame.0) as usize;
         observer.begin(Stage::Keyframe);
         let id = self.add_keyframe(frame);
         observer.end(Stage::Keyframe);
@@ -478,30 +506,45 @@ impl Slam {
             observer.end(Stage::LocalBa);
         }
         if self.config.seed.enabled {
-            observer.begin(Stage::Seed);
-            let picture = Picture {
-                rgb: input.rgb,
-                depth: input.depth,
-                mask: input.mask,
+            let train = &self.config.train;
+            let job = MappingJob {
+                keyframe: id,
+                frame: frame_id,
+                rgb: input.rgb.clone(),
+                depth: input.depth.clone(),
+                mask: input.mask.cloned(),
+                poses: self.keyframe_poses(),
+                new_landmarks: self.landmarks_born_in(id),
+                iterations: train.per_keyframe + train.per_frame * since_last,
             };
-            if self.config.train.refine > 0 {
-                self.pictures
-                    .push((id, input.rgb.clone(), input.mask.cloned()));
-            }
-            let pose = self.map.keyframe(id).camera_from_world;
-            let added = seed_from_depth(
-                &mut self.gaussians,
-                &picture,
-                &self.camera,
-                &pose,
-                id,
-                &self.config.seed,
-                self.config.features.max_depth_m,
-                self.par,
-            );
-            observer.end(Stage::Seed);
-            tracing::debug!(keyframe = id.0, added, "seeded");
+            self.schedule.submit(job)?;
         }
-        id
+        Ok(id)
     }
+
+    /// What the mapper is told of a keyframe's new landmarks.
+    fn landmarks_born_in(&self, id: KeyframeId) -> Vec<NewLandmark> {
+        let keyframe = self.map.keyframe(id);
+        let linked = (0..keyframe.len()).filter_map(|i| Some((i, keyframe.landmark[i]?)));
+        linked
+            .filter_map(|(i, landmark)| {
+                let found = self.map.landmark(landmark).filter(|l| l.born == id)?;
+                Some(NewLandmark {
+                    id: landmark,
+                    p_world: found.p_world,
+                    px: [pixel(keyframe.px[i].x), pixel(keyframe.px[i].y)],
+                })
+            })
+            .collect()
+    }
+}
+
+/// Index of the pixel a place lies in.
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "float to integer saturates; keypoints lie inside the picture"
+)]
+fn pixel(c: f64) -> usize {
+    (c + 0.5) as usize
 }

@@ -47,7 +47,7 @@ fn error_of_last_frame(slam: &Slam, scene: &Scene) -> f32 {
     let camera_from_world = pose.world_from_camera.inverse();
     let options = RenderOptions::default();
     let drawn = render(
-        slam.gaussians(),
+        slam.gaussians().expect("at rest"),
         slam.camera(),
         &camera_from_world,
         &options,
@@ -74,7 +74,11 @@ fn training_makes_the_map_look_like_the_pictures() {
         error_of_last_frame(&learnt, &scene),
     );
     assert!(after < 0.5 * before, "3 dB at least: {before} to {after}");
-    learnt.gaussians().validate().expect("finite");
+    learnt
+        .gaussians()
+        .expect("at rest")
+        .validate()
+        .expect("finite");
 }
 
 #[test]
@@ -84,7 +88,7 @@ fn any_number_of_threads_trains_the_same_map() {
     for threads in [2, 3] {
         let (other, other_losses) = trained(&scene, 12, Par::Threads(threads));
         assert!(
-            one.gaussians() == other.gaussians(),
+            one.gaussians().expect("at rest") == other.gaussians().expect("at rest"),
             "{threads} threads: map"
         );
         let bits = |l: &[f32]| l.iter().map(|v| v.to_bits()).collect::<Vec<_>>();

@@ -1,4 +1,5 @@
-//! First Gaussians: a keyframe's depth, where the map does not yet explain the picture.
+//! New Gaussians: one for each new landmark, and a keyframe's depth where the map does not yet
+//! explain the picture (design section 5, point 5).
 
 use garad_core::{
     Camera, DepthImage, GaussianMap, KeyframeId, MaskImage, NewGaussian, Par, RgbImage, Se3,
@@ -6,6 +7,7 @@ use garad_core::{
 use garad_raster::{RenderOptions, Rendered, fast};
 use nalgebra::Vector2;
 
+use super::NewLandmark;
 use crate::config::SeedConfig;
 use crate::mask::moving_near;
 
@@ -82,6 +84,40 @@ pub fn seed_from_depth(
     map.len() - before
 }
 
+/// Adds a Gaussian for every landmark the keyframe made, tagged with it: the landmark's place, the
+/// keypoint's colour, the size of a depth sample at that distance.
+pub fn insert_landmarks(
+    map: &mut GaussianMap,
+    landmarks: &[NewLandmark],
+    rgb: &RgbImage,
+    camera: &Camera,
+    camera_from_world: &Se3,
+    born: KeyframeId,
+    config: &SeedConfig,
+) {
+    let focal = 0.5 * (camera.fx + camera.fy);
+    for landmark in landmarks {
+        let z = (*camera_from_world * landmark.p_world).z;
+        let Some(color) = rgb.get(landmark.px[0], landmark.px[1]) else {
+            continue;
+        };
+        if map.len() >= config.max_gaussians {
+            return;
+        }
+        if z > 0.0 {
+            let p = landmark.p_world;
+            map.push(&NewGaussian {
+                mean: [p.x, p.y, p.z].map(to_f32),
+                sigma_m: to_f32(config.footprint * config.stride_px as f64 * z / focal),
+                opacity: to_f32(config.opacity),
+                color: color.map(|v| f32::from(v) / 255.0),
+                landmark: Some(landmark.id),
+                born,
+            });
+        }
+    }
+}
+
 /// Does the drawn map already show this surface (or one in front of it)?
 #[allow(
     clippy::cast_possible_truncation,
@@ -146,6 +182,37 @@ mod tests {
         );
         let again = seed(&mut map, 2.0, None);
         assert!(again < 16 * 12 / 4, "only the rim is left open: {again}");
+    }
+
+    #[test]
+    fn a_landmark_brings_its_own_gaussian() {
+        let mut map = GaussianMap::new(0);
+        let camera = Camera::pinhole((64, 48), [60.0, 60.0, 31.5, 23.5]).expect("valid");
+        let rgb = RgbImage::from_fn(64, 48, |x, _| [u8::try_from(x).expect("small"), 0, 255]);
+        let landmark = |px| NewLandmark {
+            id: garad_core::LandmarkId(7),
+            p_world: nalgebra::Vector3::new(0.1, 0.0, 3.0),
+            px,
+        };
+        let config = SeedConfig::default();
+        let landmarks = [landmark([51, 20]), landmark([64, 20])];
+        insert_landmarks(
+            &mut map,
+            &landmarks,
+            &rgb,
+            &camera,
+            &Se3::identity(),
+            KeyframeId(1),
+            &config,
+        );
+        assert_eq!(map.len(), 1, "one lies beside the picture");
+        assert_eq!(
+            map.landmark,
+            [Some(garad_core::LandmarkId(7))],
+            "tagged with it"
+        );
+        let color = garad_core::sh::color(0, map.sh_of(0), [0.0, 0.0, 1.0]);
+        assert!((color[0] - 0.2).abs() < 1e-6, "51 of 255: {color:?}");
     }
 
     #[test]

@@ -1,0 +1,238 @@
+//! [`Mapper`]: the map of Gaussians and everything that changes it.
+//!
+//! A keyframe comes in as a [`MappingJob`], with all that the mapper needs to know of tracking's
+//! side at that moment; what comes back is a [`MappingDone`]. Nothing is shared, so a job gives the
+//! same answer on whatever thread and at whatever time it runs; [`schedule`](crate::schedule)
+//! decides both.
+//!
+//! ```text
+//! MappingJob ─→ insert (landmarks, depth) ─→ train × n ─→ MappingDone
+//! ```
+
+pub mod densify;
+pub mod insert;
+pub mod train;
+pub mod view;
+
+use garad_core::{
+    Camera, DepthImage, FrameId, GaussianMap, KeyframeId, LandmarkId, MaskImage, Par, RgbImage, Se3,
+};
+use nalgebra::Vector3;
+
+use self::insert::{Picture, insert_landmarks, seed_from_depth};
+use self::train::{Pick, TrainError, TrainStep, Trainer};
+use self::view::TrainingView;
+use crate::config::Config;
+use crate::observer::{Observer, Stage};
+use crate::system::SlamError;
+
+/// A keyframe, for the mapper.
+#[derive(Debug, Clone)]
+pub struct MappingJob {
+    /// The keyframe.
+    pub keyframe: KeyframeId,
+    /// The frame it was.
+    pub frame: FrameId,
+    /// Colour.
+    pub rgb: RgbImage,
+    /// Metres; 0 and NaN are missing.
+    pub depth: DepthImage,
+    /// 255 where something moves.
+    pub mask: Option<MaskImage>,
+    /// camera_from_world of every keyframe so far, as adjusted.
+    pub poses: Vec<Se3>,
+    /// What the keyframe made.
+    pub new_landmarks: Vec<NewLandmark>,
+    /// Training iterations.
+    pub iterations: usize,
+}
+
+/// A landmark as the map first sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NewLandmark {
+    /// Its id: what its Gaussian is tagged with.
+    pub id: LandmarkId,
+    /// Where it is, metres.
+    pub p_world: Vector3<f64>,
+    /// Its keypoint's place in the recorded picture, px.
+    pub px: [usize; 2],
+}
+
+/// What a job did.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MappingDone {
+    /// The keyframe.
+    pub keyframe: KeyframeId,
+    /// Gaussians inserted.
+    pub inserted: usize,
+    /// Gaussians there are now.
+    pub gaussians: usize,
+    /// Loss of the last iteration, if there was one.
+    pub loss: Option<f32>,
+    /// Why training stopped early. The map is as it was after the last good iteration.
+    pub error: Option<String>,
+}
+
+/// The map, what it learns from, and the optimiser's state.
+#[derive(Debug)]
+pub struct Mapper {
+    camera: Camera,
+    config: Config,
+    gaussians: GaussianMap,
+    trainer: Trainer,
+    poses: Vec<Se3>,
+    par: Par,
+}
+
+impl Mapper {
+    /// An empty map.
+    ///
+    /// # Errors
+    /// [`SlamError::Config`] or [`SlamError::Camera`] for values that cannot be.
+    pub fn new(camera: &Camera, config: &Config, seed: u64, par: Par) -> Result<Self, SlamError> {
+        config.validate()?;
+        camera.validate()?;
+        Ok(Self {
+            camera: *camera,
+            config: config.clone(),
+            gaussians: GaussianMap::new(0),
+            trainer: Trainer::new(camera, seed).map_err(TrainError::from)?,
+            poses: Vec::new(),
+            par,
+        })
+    }
+
+    /// The map.
+    #[must_use]
+    pub fn gaussians(&self) -> &GaussianMap {
+        &self.gaussians
+    }
+
+    /// Inserts what the keyframe shows anew, and trains.
+    pub fn run(&mut self, job: MappingJob, observer: &mut dyn Observer) -> MappingDone {
+        self.poses = job.poses;
+        let before = self.gaussians.len();
+        observer.begin(Stage::Insert);
+        if let Some(pose) = self.poses.get(job.keyframe.index()).copied() {
+            let picture = Picture {
+                rgb: &job.rgb,
+                depth: &job.depth,
+                mask: job.mask.as_ref(),
+            };
+            let seed = &self.config.seed;
+            let max_depth_m = self.config.features.max_depth_m;
+            seed_from_depth(
+                &mut self.gaussians,
+                &picture,
+                &self.camera,
+                &pose,
+                job.keyframe,
+                seed,
+                max_depth_m,
+                self.par,
+            );
+            if seed.landmarks {
+                let landmarks = &job.new_landmarks;
+                insert_landmarks(
+                    &mut self.gaussians,
+                    landmarks,
+                    &job.rgb,
+                    &self.camera,
+                    &pose,
+                    job.keyframe,
+                    seed,
+                );
+            }
+        }
+        observer.end(Stage::Insert);
+        let mut done = MappingDone {
+            keyframe: job.keyframe,
+            inserted: self.gaussians.len() - before,
+            gaussians: 0,
+            loss: None,
+            error: None,
+        };
+        let train = &self.config.train;
+        if train.per_keyframe + train.per_frame + train.refine > 0 {
+            let depth = (train.lambda_depth > 0.0).then_some(job.depth);
+            let dilate_px = self.config.labels.dilate_px;
+            let mask = job.mask.as_ref();
+            let view = TrainingView::new(job.keyframe, job.rgb, depth, mask, dilate_px);
+            self.trainer.add_view(view);
+        }
+        for i in 0..job.iterations {
+            // Half of the time is the newest keyframe's: it is what the map knows least about.
+            let pick = if i % 2 == 0 {
+                Pick::Youngest
+            } else {
+                Pick::Shuffled
+            };
+            observer.begin(Stage::Train);
+            let step = self.step(pick);
+            observer.end(Stage::Train);
+            match step {
+                Ok(Some(step)) => done.loss = Some(step.loss),
+                Ok(None) => break,
+                Err(error) => {
+                    done.error = Some(format!("keyframe {}: training: {error}", job.keyframe.0));
+                    break;
+                }
+            }
+        }
+        done.gaussians = self.gaussians.len();
+        done
+    }
+
+    /// Trains for so many iterations on all keyframes, then drops what has faded. `poses` are
+    /// those of the keyframes at the end; `on_step` is told of each iteration.
+    ///
+    /// # Errors
+    /// [`TrainError`]; the map is then as it was after the last good iteration.
+    pub fn refine(
+        &mut self,
+        iterations: usize,
+        poses: Vec<Se3>,
+        on_step: &mut dyn FnMut(&TrainStep),
+    ) -> Result<(), TrainError> {
+        self.poses = poses;
+        for _ in 0..iterations {
+            match self.step(Pick::Shuffled)? {
+                Some(step) => on_step(&step),
+                None => break,
+            }
+        }
+        let min_opacity = self.config.densify.min_opacity;
+        self.trainer.prune(&mut self.gaussians, min_opacity)
+    }
+
+    fn step(&mut self, pick: Pick) -> Result<Option<TrainStep>, TrainError> {
+        let poses = &self.poses;
+        let extent_m = extent_m(poses);
+        let pose_of = |k: KeyframeId| poses.get(k.index()).copied().unwrap_or_default();
+        self.trainer.step(
+            &mut self.gaussians,
+            pick,
+            pose_of,
+            extent_m,
+            &self.config.train,
+            &self.config.densify,
+            self.par,
+        )
+    }
+}
+
+/// Extent of the camera's path: 1.1 times the largest distance of a keyframe from their mean, at
+/// least a metre.
+fn extent_m(camera_from_world: &[Se3]) -> f64 {
+    let centers: Vec<Vector3<f64>> = camera_from_world
+        .iter()
+        .map(|pose| pose.inverse().translation)
+        .collect();
+    let n = centers.len().max(1) as f64;
+    let mean = centers.iter().fold(Vector3::zeros(), |sum, c| sum + c / n);
+    let radius = centers
+        .iter()
+        .map(|c| (c - mean).norm())
+        .fold(0.0, f64::max);
+    (1.1 * radius).max(1.0)
+}

@@ -1,0 +1,218 @@
+//! Clone, split, prune: Gaussians where the picture pulls hard, none where nothing is left to see
+//! (Kerbl et al. 2023, section 5.2).
+//!
+//! A splat whose centre the loss keeps pulling at stands for too much or too little picture. If it
+//! is small, a second one beside it is missing: it is cloned. If it is large, it covers more than
+//! one thing: it is split in two.
+
+use garad_core::{Camera, GaussianMap, Label, Real, Rng, So3};
+use nalgebra::Vector3;
+
+use crate::config::DensifyConfig;
+
+/// How hard the loss has pulled at each splat's centre since the last look.
+#[derive(Debug, Default)]
+pub(crate) struct Densifier {
+    /// Σ |∂L/∂(NDC x, y)|.
+    pull: Vec<f32>,
+    /// Iterations in which it was drawn.
+    seen: Vec<u32>,
+}
+
+impl Densifier {
+    /// Adds one iteration. A gradient per pixel becomes one per unit of normalised device
+    /// coordinates, 2/W and 2/H of which are a pixel, so that all levels of the pyramid count alike.
+    pub(crate) fn watch(&mut self, by_mean_px: &[[f32; 2]], radii: &[i32], camera: &Camera) {
+        self.pull.resize(by_mean_px.len(), 0.0);
+        self.seen.resize(by_mean_px.len(), 0);
+        #[allow(clippy::cast_precision_loss, reason = "sizes of pictures")]
+        let half = [camera.width as f32 / 2.0, camera.height as f32 / 2.0];
+        for (i, g) in by_mean_px.iter().enumerate() {
+            if radii[i] > 0 {
+                let (x, y) = (g[0] * half[0], g[1] * half[1]);
+                self.pull[i] += (x * x + y * y).sqrt();
+                self.seen[i] += 1;
+            }
+        }
+    }
+
+    pub(crate) fn retain(&mut self, keep: &[bool]) {
+        let mut kept = keep.iter();
+        self.pull.retain(|_| kept.next().copied().unwrap_or(true));
+        let mut kept = keep.iter();
+        self.seen.retain(|_| kept.next().copied().unwrap_or(true));
+    }
+
+    /// Mean pull; 0 for what was not drawn.
+    fn mean(&self, i: usize) -> f64 {
+        match self.seen.get(i) {
+            Some(&seen) if seen > 0 => f64::from(self.pull[i]) / f64::from(seen),
+            _ => 0.0,
+        }
+    }
+}
+
+/// Children of a split, and what their parent's standard deviations are divided by.
+const CHILDREN: usize = 2;
+const SHRINK: f64 = 1.6;
+
+/// Appends clones and children to the map; the answer says for each Gaussian of before whether it
+/// was split and should go. Gaussians that move are left alone; `max_gaussians` is kept to.
+///
+/// Clones stand where their parent stands and part from it by their own gradients. Children are
+/// drawn from the parent's distribution, N(μ, R S² Rᵀ).
+pub(crate) fn densify(
+    map: &mut GaussianMap,
+    watched: &Densifier,
+    extent_m: f64,
+    config: &DensifyConfig,
+    rng: &mut Rng,
+) -> Vec<bool> {
+    let before = map.len();
+    let large = config.split_extent * extent_m;
+    let mut split = vec![false; before];
+    for i in 0..before {
+        if map.label[i] == Label::Dynamic || watched.mean(i) < config.pull {
+            continue;
+        }
+        if map.len() + CHILDREN > config.max_gaussians {
+            break;
+        }
+        let sigma = map.log_scales[i].map(|s| f64::from(Real::exp(s)));
+        if sigma.iter().all(|s| *s <= large) {
+            map.push_copy(i);
+            continue;
+        }
+        let [w, x, y, z] = map.quaternions[i].map(f64::from);
+        let Some(rotation) = So3::from_quaternion(w, x, y, z) else {
+            continue; // no direction, so nothing to draw from
+        };
+        split[i] = true;
+        for _ in 0..CHILDREN {
+            let child = map.push_copy(i);
+            let local = Vector3::from(sigma.map(|s| s * rng.normal()));
+            let offset = rotation * local;
+            for axis in 0..3 {
+                map.means[child][axis] += to_f32(offset[axis]);
+                map.log_scales[child][axis] -= to_f32(Real::ln(SHRINK));
+            }
+        }
+    }
+    split
+}
+
+/// Which Gaussians are less opaque than `min_opacity`; never those that move, which fade by the
+/// penalty and go by their labels.
+pub(crate) fn faded(map: &GaussianMap, min_opacity: f64) -> Vec<bool> {
+    let least = to_f32(Real::ln(min_opacity / (1.0 - min_opacity)));
+    map.opacity_logits
+        .iter()
+        .zip(&map.label)
+        .map(|(logit, label)| *logit < least && *label == Label::Static)
+        .collect()
+}
+
+#[allow(clippy::cast_possible_truncation, reason = "the map is f32 by design")]
+fn to_f32(v: f64) -> f32 {
+    v as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use garad_core::{KeyframeId, NewGaussian};
+
+    fn map(sigmas: &[f32]) -> GaussianMap {
+        let mut map = GaussianMap::new(0);
+        for &sigma_m in sigmas {
+            map.push(&NewGaussian {
+                mean: [0.0, 0.0, 2.0],
+                sigma_m,
+                opacity: 0.5,
+                color: [0.5; 3],
+                landmark: None,
+                born: KeyframeId(3),
+            });
+        }
+        map
+    }
+
+    fn pulled(n: usize, by_mean_px: [f32; 2]) -> Densifier {
+        let camera = Camera::pinhole((200, 100), [100.0, 100.0, 99.5, 49.5]).expect("valid");
+        let mut watched = Densifier::default();
+        watched.watch(&vec![by_mean_px; n], &vec![1; n], &camera);
+        watched.watch(&vec![[0.0; 2]; n], &vec![0; n], &camera);
+        watched
+    }
+
+    #[test]
+    fn pull_is_a_mean_over_the_iterations_that_saw_it() {
+        // 3/100 and 8/50 px⁻¹ are 3 and 8 per unit of NDC's half width and height.
+        let watched = pulled(1, [0.03, 0.08]);
+        assert!(
+            (watched.mean(0) - 5.0).abs() < 1e-6,
+            "(3, 4): {}",
+            watched.mean(0)
+        );
+        assert!(watched.mean(1).abs() < 1e-12, "never drawn");
+    }
+
+    #[test]
+    fn small_ones_are_cloned_and_large_ones_split() {
+        let mut map = map(&[0.005, 0.5, 0.5]);
+        map.label[2] = Label::Dynamic;
+        let config = DensifyConfig::default();
+        let watched = pulled(3, [1.0, 0.0]);
+        let split = densify(&mut map, &watched, 1.0, &config, &mut Rng::new(1));
+        assert_eq!(split, [false, true, false], "the large static one goes");
+        assert_eq!(map.len(), 3 + 1 + 2, "a clone and two children");
+        assert_eq!(
+            map.parent[3..],
+            [Some(0), Some(1), Some(1)],
+            "of these parents"
+        );
+        assert_eq!(map.means[3], map.means[0], "a clone stays");
+        assert!(
+            map.means[4] != map.means[1] && map.means[4] != map.means[5],
+            "children part"
+        );
+        let ratio = Real::exp(map.log_scales[1][0] - map.log_scales[4][0]);
+        assert!((ratio - 1.6).abs() < 1e-5, "smaller by {ratio}");
+        map.validate().expect("consistent");
+    }
+
+    #[test]
+    fn weak_pulls_and_a_full_map_change_nothing() {
+        let config = DensifyConfig {
+            max_gaussians: 3,
+            ..DensifyConfig::default()
+        };
+        let mut full = map(&[0.005; 2]);
+        densify(
+            &mut full,
+            &pulled(2, [1.0, 0.0]),
+            1.0,
+            &config,
+            &mut Rng::new(1),
+        );
+        assert!(full.len() <= 3, "the cap: {}", full.len());
+        let mut calm = map(&[0.005; 2]);
+        let weak = pulled(2, [1e-9, 0.0]);
+        densify(
+            &mut calm,
+            &weak,
+            1.0,
+            &DensifyConfig::default(),
+            &mut Rng::new(1),
+        );
+        assert_eq!(calm.len(), 2, "nothing pulls");
+    }
+
+    #[test]
+    fn only_static_ones_fade() {
+        let mut map = map(&[0.1; 3]);
+        map.opacity_logits = vec![-9.0, -9.0, 0.0];
+        map.label[1] = Label::Dynamic;
+        assert_eq!(faded(&map, 0.005), [true, false, false], "one");
+    }
+}

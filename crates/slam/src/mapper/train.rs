@@ -1,0 +1,341 @@
+//! The map learns the pictures: one training iteration, and which keyframe is next
+//! (design section 5, point 6; paper eq. 12, 13, 15, 16).
+//!
+//! ```text
+//! keyframe, level ─→ render (static Gaussians) ─→ loss ─→ backward ─→ Adam ─→ clone, split, prune
+//! ```
+
+use garad_core::undistort::Undistortion;
+use garad_core::{Camera, GaussianMap, KeyframeId, Label, Par, Rng, Se3};
+use garad_optim::{Adam, AdamConfig, OptimError, sgd};
+use garad_raster::losses::{depth_l1, opacity_penalty, photometric};
+use garad_raster::{Gradients, Include, RasterError, RenderOptions, Upstream, fast};
+use thiserror::Error;
+
+use super::densify::{Densifier, densify, faded};
+use super::view::TrainingView;
+use crate::config::{DensifyConfig, Optimiser, RateConfig, TrainConfig};
+
+/// Rendered opacity from which a pixel's depth is judged.
+const DEPTH_MIN_OPACITY: f64 = 0.5;
+
+/// The state of training: pictures, optimiser, order of keyframes.
+#[derive(Debug)]
+pub struct Trainer {
+    camera: Camera,
+    straight: Undistortion,
+    views: Vec<TrainingView>,
+    order: Vec<usize>,
+    rng: Rng,
+    seed: u64,
+    groups: Groups,
+    densifier: Densifier,
+    iterations: usize,
+}
+
+/// One optimiser per kind of parameter.
+#[derive(Debug)]
+struct Groups {
+    means: Adam<f32>,
+    log_scales: Adam<f32>,
+    quaternions: Adam<f32>,
+    opacity_logits: Adam<f32>,
+    sh: Adam<f32>,
+}
+
+/// What stops training.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum TrainError {
+    /// The map could not be drawn, or its gradient not found.
+    #[error(transparent)]
+    Raster(#[from] RasterError),
+    /// A gradient that is not finite.
+    #[error(transparent)]
+    Optim(#[from] OptimError),
+}
+
+/// Which keyframe an iteration trains on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pick {
+    /// The youngest: what the map knows least about.
+    Youngest,
+    /// The next of all, each once in shuffled order, then again.
+    Shuffled,
+}
+
+/// How one iteration went.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TrainStep {
+    /// The keyframe trained on.
+    pub keyframe: KeyframeId,
+    /// Halvings of its picture.
+    pub level: usize,
+    /// 0.8 L_photometric + 0.2 L_dyn (eq. 12).
+    pub loss: f32,
+    /// Gaussians after the iteration.
+    pub gaussians: usize,
+}
+
+impl Trainer {
+    /// Nothing to learn from yet; every random draw follows from `seed`.
+    ///
+    /// # Errors
+    /// [`OptimError`] (none for the settings used here).
+    pub fn new(camera: &Camera, seed: u64) -> Result<Self, OptimError> {
+        let group = |width: usize| Adam::new(AdamConfig::default(), 0, width);
+        Ok(Self {
+            camera: *camera,
+            straight: Undistortion::new(camera),
+            views: Vec::new(),
+            order: Vec::new(),
+            rng: Rng::keyed(seed, &[0x7261_696e]),
+            seed,
+            groups: Groups {
+                means: group(3)?,
+                log_scales: group(3)?,
+                quaternions: group(4)?,
+                opacity_logits: group(1)?,
+                sh: group(3)?,
+            },
+            densifier: Densifier::default(),
+            iterations: 0,
+        })
+    }
+
+    /// One more picture to learn from.
+    pub fn add_view(&mut self, view: TrainingView) {
+        self.views.push(view);
+    }
+
+    /// Pictures so far.
+    #[must_use]
+    pub fn views(&self) -> usize {
+        self.views.len()
+    }
+
+    /// One iteration; `None` when there is no picture or no Gaussian. `extent_m` is the size of the
+    /// camera's path: it scales the steps of the means and says which Gaussians are large.
+    ///
+    /// # Errors
+    /// [`TrainError`]; the map is then as it was before the iteration.
+    pub fn step(
+        &mut self,
+        map: &mut GaussianMap,
+        pick: Pick,
+        pose_of: impl Fn(KeyframeId) -> Se3,
+        extent_m: f64,
+        config: &TrainConfig,
+        grow: &DensifyConfig,
+        par: Par,
+    ) -> Result<Option<TrainStep>, TrainError> {
+        if map.is_empty() {
+            return Ok(None);
+        }
+        let Some(v) = self.next_view(pick) else {
+            return Ok(None);
+        };
+        self.follow(map, config)?;
+        let view = &mut self.views[v];
+        let keyframe = view.keyframe;
+        let level = view.next_level(config.uses_per_level);
+        let target = view.target(&self.camera, &self.straight, level, par);
+        let pose = pose_of(keyframe);
+        let options = RenderOptions {
+            include: Include::StaticOnly,
+            ..RenderOptions::default()
+        };
+        let rendered = fast::render(map, &target.camera, &pose, &options, par)?;
+        let excluded = Some(&target.excluded);
+        let lambda = config.lambda_ssim;
+        let photo = photometric(&rendered.color, &target.color, lambda, excluded, par)?;
+        let weight = to_f32(config.lambda_photometric);
+        let mut loss = weight * photo.value;
+        let mut upstream = Upstream {
+            color: photo.gradient.map(|g| g.map(|v| v * weight)),
+            depth: None,
+            opacity: None,
+        };
+        if let Some(measured) = &target.depth {
+            let weight = to_f32(config.lambda_depth);
+            let depth = depth_l1(
+                &rendered.depth,
+                &rendered.opacity,
+                measured,
+                DEPTH_MIN_OPACITY,
+                excluded,
+            )?;
+            loss += weight * depth.value;
+            upstream.depth = Some(depth.depth.map(|g| g * weight));
+            upstream.opacity = Some(depth.opacity.map(|g| g * weight));
+        }
+        let camera = &target.camera;
+        let mut gradients =
+            fast::backward(map, camera, &pose, &options, &rendered, &upstream, par)?;
+        if map.label.contains(&Label::Dynamic) {
+            let weight = to_f32(config.lambda_dynamic);
+            let penalty = opacity_penalty(&map.opacity_logits, &map.label)?;
+            loss += weight * penalty.value;
+            let pulls = penalty.opacity_logits.iter();
+            for (g, p) in gradients.opacity_logits.iter_mut().zip(pulls) {
+                *g += weight * p;
+            }
+        }
+        self.update(map, &gradients, extent_m, config)?;
+        self.iterations += 1;
+        if grow.enabled {
+            self.densifier
+                .watch(&gradients.means2d, &rendered.radii, camera);
+            if self.iterations.is_multiple_of(grow.every) {
+                self.grow_and_prune(map, extent_m, grow)?;
+            }
+        }
+        Ok(Some(TrainStep {
+            keyframe,
+            level,
+            loss,
+            gaussians: map.len(),
+        }))
+    }
+
+    /// Drops the Gaussians that have faded. Those that move are left to their labels.
+    ///
+    /// # Errors
+    /// [`TrainError::Optim`] (none as long as the trainer follows one map).
+    pub fn prune(&mut self, map: &mut GaussianMap, min_opacity: f64) -> Result<(), TrainError> {
+        let keep = faded(map, min_opacity).into_iter().map(|f| !f);
+        self.retain(map, &keep.collect::<Vec<_>>())
+    }
+
+    fn grow_and_prune(
+        &mut self,
+        map: &mut GaussianMap,
+        extent_m: f64,
+        config: &DensifyConfig,
+    ) -> Result<(), TrainError> {
+        let mut rng = Rng::keyed(self.seed, &[0x6772_6f77, self.iterations as u64]);
+        let split = densify(map, &self.densifier, extent_m, config, &mut rng);
+        self.densifier = Densifier::default();
+        self.extend(map.len());
+        let faded = faded(map, config.min_opacity);
+        let keep: Vec<bool> = (0..map.len())
+            .map(|i| !faded[i] && !split.get(i).copied().unwrap_or(false))
+            .collect();
+        self.retain(map, &keep)
+    }
+
+    /// The optimiser follows what was inserted, and colours that gained a degree.
+    fn follow(&mut self, map: &mut GaussianMap, config: &TrainConfig) -> Result<(), OptimError> {
+        let degree = self
+            .iterations
+            .checked_div(config.sh_every)
+            .unwrap_or(config.sh_degree);
+        map.raise_sh_degree(degree.min(config.sh_degree));
+        self.groups.sh.widen(3 * map.coefficients())?;
+        self.extend(map.len());
+        Ok(())
+    }
+
+    fn extend(&mut self, rows: usize) {
+        let new = rows.saturating_sub(self.groups.means.rows());
+        let Groups {
+            means,
+            log_scales,
+            quaternions,
+            opacity_logits,
+            sh,
+        } = &mut self.groups;
+        for group in [means, log_scales, quaternions, opacity_logits, sh] {
+            group.extend(new);
+        }
+    }
+
+    /// Keeps these Gaussians, in the map and in the optimiser.
+    ///
+    /// # Errors
+    /// [`TrainError::Optim`] unless there is a decision for every Gaussian.
+    pub fn retain(&mut self, map: &mut GaussianMap, keep: &[bool]) -> Result<(), TrainError> {
+        self.extend(map.len());
+        let Groups {
+            means,
+            log_scales,
+            quaternions,
+            opacity_logits,
+            sh,
+        } = &mut self.groups;
+        for group in [means, log_scales, quaternions, opacity_logits, sh] {
+            group.retain(keep)?;
+        }
+        self.densifier.retain(keep);
+        map.retain(|i| keep[i]);
+        Ok(())
+    }
+
+    fn next_view(&mut self, pick: Pick) -> Option<usize> {
+        if pick == Pick::Youngest {
+            return self.views.len().checked_sub(1);
+        }
+        if self.order.is_empty() {
+            self.order = (0..self.views.len()).collect();
+            for i in (1..self.order.len()).rev() {
+                let j = self.rng.below(i + 1);
+                self.order.swap(i, j);
+            }
+        }
+        self.order.pop()
+    }
+
+    /// One step of every group, or of none.
+    fn update(
+        &mut self,
+        map: &mut GaussianMap,
+        gradients: &Gradients<f32>,
+        extent_m: f64,
+        config: &TrainConfig,
+    ) -> Result<(), OptimError> {
+        let RateConfig {
+            mean,
+            log_scale,
+            quaternion,
+            opacity_logit,
+            sh,
+            sh_rest_divisor,
+        } = config.rates;
+        let groups = &mut self.groups;
+        let mut sh_rates = vec![sh / sh_rest_divisor; 3 * map.coefficients()];
+        sh_rates[..3].fill(sh);
+        #[rustfmt::skip]
+        let steps: [(&mut [f32], &[f32], &mut Adam<f32>, &[f64]); 5] = [
+            (map.means.as_flattened_mut(), gradients.means.as_flattened(),
+             &mut groups.means, &[mean * extent_m; 3]),
+            (map.log_scales.as_flattened_mut(), gradients.log_scales.as_flattened(),
+             &mut groups.log_scales, &[log_scale; 3]),
+            (map.quaternions.as_flattened_mut(), gradients.quaternions.as_flattened(),
+             &mut groups.quaternions, &[quaternion; 4]),
+            (&mut map.opacity_logits, &gradients.opacity_logits,
+             &mut groups.opacity_logits, &[opacity_logit]),
+            (map.sh.as_flattened_mut(), gradients.sh.as_flattened(), &mut groups.sh, &sh_rates),
+        ];
+        if let Some(what) = steps
+            .iter()
+            .find_map(|(_, gradient, ..)| gradient.iter().position(|g| !g.is_finite()))
+        {
+            return Err(OptimError::NotFinite {
+                what: "gradient",
+                index: what,
+            });
+        }
+        for (parameters, gradient, adam, rates) in steps {
+            match config.optimiser {
+                Optimiser::Adam => adam.step_by_column(parameters, gradient, rates)?,
+                Optimiser::Sgd => sgd(parameters, gradient, rates[0])?,
+            }
+        }
+        Ok(())
+    }
+}
+
+#[allow(clippy::cast_possible_truncation, reason = "the map is f32 by design")]
+fn to_f32(v: f64) -> f32 {
+    v as f32
+}

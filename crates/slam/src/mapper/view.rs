@@ -1,0 +1,172 @@
+//! [`TrainingView`]: a keyframe's picture, ready to be compared with at any level.
+
+use garad_core::pyramid::halve_real;
+use garad_core::undistort::Undistortion;
+use garad_core::{Camera, DepthImage, Distortion, Image, KeyframeId, MaskImage, Par, RgbImage};
+
+use crate::mask;
+
+/// Halvings of the coarsest picture (n = 2: three levels, eq. 16).
+const TOP_LEVEL: usize = 2;
+
+/// A keyframe's picture. It is kept as recorded, a megabyte of bytes; what one iteration compares
+/// with is made when it is wanted.
+#[derive(Debug, Clone)]
+pub struct TrainingView {
+    /// The keyframe.
+    pub keyframe: KeyframeId,
+    rgb: RgbImage,
+    /// Kept only if the loss asks for it.
+    depth: Option<DepthImage>,
+    /// 255 near something that moves.
+    moving: Option<MaskImage>,
+    uses: usize,
+}
+
+/// What one iteration compares with.
+#[derive(Debug, Clone)]
+pub(crate) struct Target {
+    pub(crate) camera: Camera,
+    pub(crate) color: Image<[f32; 3]>,
+    /// Metres, 0 where it is not known.
+    pub(crate) depth: Option<DepthImage>,
+    /// Not 0 where the picture says nothing: something moves, or no pixel was seen.
+    pub(crate) excluded: MaskImage,
+}
+
+impl TrainingView {
+    /// Pixels within `dilate_px` of something that moves (255) are left out of the loss.
+    #[must_use]
+    pub fn new(
+        keyframe: KeyframeId,
+        rgb: RgbImage,
+        depth: Option<DepthImage>,
+        mask: Option<&MaskImage>,
+        dilate_px: usize,
+    ) -> Self {
+        Self {
+            keyframe,
+            rgb,
+            depth,
+            moving: mask.map(|mask| mask::dilated(mask, dilate_px)),
+            uses: 0,
+        }
+    }
+
+    /// Coarse first: `per_level` uses at each coarser level, then full size.
+    pub(crate) fn next_level(&mut self, per_level: usize) -> usize {
+        let level = match per_level {
+            0 => 0,
+            _ => TOP_LEVEL.saturating_sub(self.uses / per_level),
+        };
+        self.uses += 1;
+        level
+    }
+
+    /// Undistorted, in [0, 1], halved `level` times (eq. 16). Depth is thinned out, not smoothed:
+    /// the mean of two surfaces is none.
+    pub(crate) fn target(
+        &self,
+        camera: &Camera,
+        straight: &Undistortion,
+        level: usize,
+        par: Par,
+    ) -> Target {
+        let mut color = straight.color(&self.rgb, par);
+        let mut excluded = straight.unseen();
+        if let Some(moving) = &self.moving {
+            let moving = straight.nearest(moving, 255);
+            for (excluded, moving) in excluded.data_mut().iter_mut().zip(moving.data()) {
+                *excluded |= moving;
+            }
+        }
+        let mut depth = self.depth.as_ref().map(|d| straight.nearest(d, 0.0));
+        for _ in 0..level {
+            color = halve_real(&color);
+            excluded = mask::halve(&excluded);
+            depth = depth.map(|d| {
+                Image::from_fn(d.width().div_ceil(2), d.height().div_ceil(2), |x, y| {
+                    d[(2 * x, 2 * y)]
+                })
+            });
+        }
+        Target {
+            camera: Camera {
+                distortion: Distortion::default(),
+                ..camera.level(level)
+            },
+            color,
+            depth,
+            excluded,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera() -> Camera {
+        Camera::pinhole((32, 24), [30.0, 30.0, 15.5, 11.5]).expect("valid")
+    }
+
+    fn target(view: &TrainingView, level: usize) -> Target {
+        view.target(&camera(), &Undistortion::new(&camera()), level, Par::Seq)
+    }
+
+    #[test]
+    fn levels_run_from_coarse_to_fine() {
+        let rgb = RgbImage::new(32, 24, [51, 102, 255]);
+        let mut view = TrainingView::new(KeyframeId(0), rgb, None, None, 0);
+        let levels: Vec<_> = (0..20).map(|_| view.next_level(8)).collect();
+        assert_eq!(
+            [0, 7, 8, 15, 16, 19].map(|i: usize| levels[i]),
+            [2, 2, 1, 1, 0, 0],
+            "eight uses each, then whole"
+        );
+        let target = target(&view, 2);
+        assert_eq!(target.color.size(), (8, 6), "a quarter");
+        assert_eq!(target.camera, camera().level(2), "with its camera");
+        assert!((target.color[(3, 3)][0] - 0.2).abs() < 1e-6, "51 of 255");
+        assert!(
+            target.excluded.data().iter().all(|m| *m == 0),
+            "all of it counts"
+        );
+    }
+
+    #[test]
+    fn moving_pixels_and_their_surroundings_are_left_out() {
+        let mut mask = MaskImage::new(32, 24, 0);
+        mask[(16, 12)] = 255;
+        let rgb = RgbImage::new(32, 24, [0; 3]);
+        let view = TrainingView::new(KeyframeId(0), rgb, None, Some(&mask), 2);
+        let excluded = target(&view, 0).excluded;
+        let count = excluded.data().iter().filter(|m| **m != 0).count();
+        assert_eq!(count, 25, "a square of 5");
+        assert_eq!(
+            (excluded[(18, 14)], excluded[(19, 12)]),
+            (255, 0),
+            "its corner, beside it"
+        );
+        let quarter = target(&view, 2).excluded;
+        assert_eq!(
+            quarter[(4, 3)],
+            255,
+            "anything mixed with it, at coarse levels too"
+        );
+        assert_eq!(quarter[(0, 0)], 0, "but not far away");
+    }
+
+    #[test]
+    fn coarse_depth_is_one_of_the_depths() {
+        let depth = DepthImage::from_fn(32, 24, |x, _| if x < 16 { 1.0 } else { 3.0 });
+        let rgb = RgbImage::new(32, 24, [0; 3]);
+        let view = TrainingView::new(KeyframeId(0), rgb, Some(depth), None, 0);
+        let coarse = target(&view, 1).depth.expect("kept");
+        assert_eq!(
+            (coarse[(7, 0)], coarse[(8, 0)]),
+            (1.0, 3.0),
+            "nothing between"
+        );
+    }
+}

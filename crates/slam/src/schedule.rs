@@ -1,0 +1,204 @@
+//! Two threads, one answer (design section 6).
+//!
+//! A keyframe at frame f starts a mapping job; the job is handed over when frame f + L begins,
+//! neither sooner nor later. If it is late, tracking waits. How much a job does is a count, never a
+//! time. So what tracking knows of the map at any frame follows from frame numbers alone, and the
+//! mapper may work in the same thread or in one beside, on any machine, under any load.
+//!
+//! ```text
+//! frame     f         f+1       f+2    ...     f+L
+//! tracking  ──────────────────────────────────▼ takes over what the job found
+//! mapping     └─ job of keyframe f ─┘  └─ next job ...
+//! ```
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::{Builder, JoinHandle};
+
+use garad_core::FrameId;
+
+use crate::mapper::{Mapper, MappingDone, MappingJob};
+use crate::observer::Observer;
+use crate::system::SlamError;
+
+/// Who listens to the mapper; it may do so from another thread.
+pub type MappingObserver = Box<dyn Observer + Send>;
+
+/// Jobs on their way to the mapper and back.
+#[derive(Debug)]
+pub(crate) struct Schedule {
+    worker: Worker,
+    /// When the jobs not yet handed over are due, oldest first.
+    due: VecDeque<FrameId>,
+    handover_frames: u32,
+    /// More than one thread: the mapper gets its own.
+    beside: bool,
+}
+
+/// The mapper and its listener: they go to the thread together and come back together.
+struct Crew {
+    mapper: Box<Mapper>,
+    observer: MappingObserver,
+}
+
+#[derive(Debug)]
+enum Worker {
+    /// In this thread; jobs run when they are due.
+    Here(Crew, VecDeque<MappingJob>),
+    /// In a thread of its own.
+    Beside {
+        jobs: Sender<MappingJob>,
+        done: Receiver<MappingDone>,
+        thread: JoinHandle<Option<Crew>>,
+    },
+    /// The thread broke down, and the map with it.
+    Lost,
+}
+
+impl Schedule {
+    pub(crate) fn new(mapper: Mapper, handover_frames: u32, beside: bool) -> Self {
+        let crew = Crew {
+            mapper: Box::new(mapper),
+            observer: Box::new(crate::observer::Silent),
+        };
+        Self {
+            worker: Worker::Here(crew, VecDeque::new()),
+            due: VecDeque::new(),
+            handover_frames,
+            beside,
+        }
+    }
+
+    /// Listens to the mapper from now on. Takes effect while the mapper is at rest.
+    pub(crate) fn observe(&mut self, observer: MappingObserver) {
+        if let Worker::Here(crew, _) = &mut self.worker {
+            crew.observer = observer;
+        }
+    }
+
+    /// The mapper, while it is at rest.
+    pub(crate) fn mapper(&self) -> Option<&Mapper> {
+        match &self.worker {
+            Worker::Here(crew, _) => Some(&crew.mapper),
+            Worker::Beside { .. } | Worker::Lost => None,
+        }
+    }
+
+    /// The mapper, while it is at rest.
+    pub(crate) fn mapper_mut(&mut self) -> Option<&mut Mapper> {
+        match &mut self.worker {
+            Worker::Here(crew, _) => Some(&mut crew.mapper),
+            Worker::Beside { .. } | Worker::Lost => None,
+        }
+    }
+
+    /// Starts a job, or puts it behind those under way.
+    ///
+    /// # Errors
+    /// [`SlamError::MappingLost`].
+    pub(crate) fn submit(&mut self, job: MappingJob) -> Result<(), SlamError> {
+        self.due
+            .push_back(FrameId(job.frame.0.saturating_add(self.handover_frames)));
+        if self.beside && matches!(self.worker, Worker::Here(..)) {
+            self.worker = match std::mem::replace(&mut self.worker, Worker::Lost) {
+                Worker::Here(crew, waiting) => start(crew, waiting),
+                other => other,
+            };
+        }
+        match &mut self.worker {
+            Worker::Here(_, waiting) => {
+                waiting.push_back(job);
+                Ok(())
+            }
+            Worker::Beside { jobs, .. } => jobs.send(job).map_err(|_| SlamError::MappingLost),
+            Worker::Lost => Err(SlamError::MappingLost),
+        }
+    }
+
+    /// Whether a job is due at this frame.
+    pub(crate) fn is_due(&self, frame: FrameId) -> bool {
+        self.due.front().is_some_and(|due| *due <= frame)
+    }
+
+    /// The oldest job's answer, waited for if need be.
+    ///
+    /// # Errors
+    /// [`SlamError::MappingLost`].
+    pub(crate) fn take(&mut self) -> Result<Option<MappingDone>, SlamError> {
+        if self.due.pop_front().is_none() {
+            return Ok(None);
+        }
+        match &mut self.worker {
+            Worker::Here(crew, waiting) => {
+                let job = waiting.pop_front();
+                Ok(job.map(|job| crew.mapper.run(job, &mut *crew.observer)))
+            }
+            Worker::Beside { done, .. } => {
+                done.recv().map(Some).map_err(|_| SlamError::MappingLost)
+            }
+            Worker::Lost => Err(SlamError::MappingLost),
+        }
+    }
+
+    /// The mapper comes to rest in this thread. Every job must have been taken.
+    ///
+    /// # Errors
+    /// [`SlamError::MappingLost`].
+    pub(crate) fn come_home(&mut self) -> Result<(), SlamError> {
+        self.worker = match std::mem::replace(&mut self.worker, Worker::Lost) {
+            Worker::Beside { jobs, thread, .. } => {
+                drop(jobs); // the thread ends when nobody can send any more
+                match thread.join() {
+                    Ok(Some(crew)) => Worker::Here(crew, VecDeque::new()),
+                    Ok(None) | Err(_) => return Err(SlamError::MappingLost),
+                }
+            }
+            here => here,
+        };
+        Ok(())
+    }
+}
+
+/// Moves the mapper into a thread of its own. If the system gives none, it stays: the answer is the
+/// same, only later.
+fn start(crew: Crew, waiting: VecDeque<MappingJob>) -> Worker {
+    let (jobs, inbox) = channel::<MappingJob>();
+    let (outbox, done) = channel();
+    let (hand_over, crews) = channel::<Crew>();
+    let spawned = Builder::new().name("mapping".to_owned()).spawn(move || {
+        let Ok(mut crew) = crews.recv() else {
+            return None; // nobody came
+        };
+        for job in inbox {
+            if outbox
+                .send(crew.mapper.run(job, &mut *crew.observer))
+                .is_err()
+            {
+                break;
+            }
+        }
+        Some(crew)
+    });
+    match spawned {
+        Err(_) => Worker::Here(crew, waiting),
+        Ok(thread) => {
+            let mut lost = hand_over.send(crew).is_err();
+            for job in waiting {
+                lost |= jobs.send(job).is_err();
+            }
+            if lost {
+                return Worker::Lost;
+            }
+            Worker::Beside { jobs, done, thread }
+        }
+    }
+}
+
+impl fmt::Debug for Crew {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Crew")
+            .field("mapper", &self.mapper)
+            .finish_non_exhaustive()
+    }
+}
