@@ -5,11 +5,13 @@ use nalgebra::Vector3;
 
 use crate::course::Course;
 use crate::figure::{Arms, Figure, LOAD, Step};
+use crate::furniture::chair;
 use crate::material::Material;
 use crate::shape::Shape;
 use crate::solid::{Builder, Solid, yaw};
 
-/// Slower than this a mover counts as standing, metres per second: a person's sway is not motion.
+/// Slower than this a mover counts as standing, metres per second. It is all of a mover that counts:
+/// someone who stands and turns the head moves.
 const STANDS_BELOW_M_S: f64 = 0.015;
 
 /// A mover with an object id of its own.
@@ -32,6 +34,12 @@ pub(crate) enum Role {
     },
     /// A trolley with boxes: keeps its heading and rolls along it.
     Trolley {
+        course: Course,
+        heading_rad: f64,
+        seed: u32,
+    },
+    /// A chair that is drawn along, turned as it stood.
+    Chair {
         course: Course,
         heading_rad: f64,
         seed: u32,
@@ -81,13 +89,12 @@ impl Actor {
                 course,
                 heading_rad,
                 seed,
-            } => {
-                let at = course.place(t_s).at;
-                let mut b = Builder::new(*seed);
-                b.at(at.x, at.y, 0.0, *heading_rad);
-                trolley(&mut b);
-                self.claim(b.solids)
-            }
+            } => self.on_its_way(course, t_s, *heading_rad, *seed, trolley),
+            Role::Chair {
+                course,
+                heading_rad,
+                seed,
+            } => self.on_its_way(course, t_s, *heading_rad, *seed, chair),
             Role::Ball {
                 course,
                 heading_rad,
@@ -122,11 +129,23 @@ impl Actor {
         })
     }
 
-    fn claim(&self, mut solids: Vec<Solid>) -> Vec<Solid> {
-        for solid in &mut solids {
+    /// A piece of furniture where its course has it.
+    fn on_its_way(
+        &self,
+        course: &Course,
+        t_s: f64,
+        heading_rad: f64,
+        seed: u32,
+        build: fn(&mut Builder),
+    ) -> Vec<Solid> {
+        let at = course.place(t_s).at;
+        let mut b = Builder::new(seed);
+        b.at(at.x, at.y, 0.0, heading_rad);
+        build(&mut b);
+        for solid in &mut b.solids {
             solid.object = self.object;
         }
-        solids
+        b.solids
     }
 }
 
@@ -134,7 +153,7 @@ fn person(figure: &Figure, course: &Course, t_s: f64) -> (Se3, Step) {
     let place = course.place(t_s);
     // someone who talks turns a little
     let sway = if figure.arms == Arms::Gesture {
-        0.25 * libm::sin(0.8 * t_s)
+        0.25 * libm::sin(0.8 * place.idle_s)
     } else {
         0.0
     };
@@ -144,7 +163,7 @@ fn person(figure: &Figure, course: &Course, t_s: f64) -> (Se3, Step) {
     );
     let step = Step {
         gone_m: place.gone_m,
-        t_s,
+        t_s: place.idle_s,
         pace: place.pace,
     };
     (world_from_figure, step)

@@ -13,10 +13,36 @@ use crate::room::Furnishing;
 /// Direction across the view of the scenes that look from the corner, radians.
 const ACROSS_RAD: f64 = 2.2;
 
+/// (who, metres away, metres to the left, half the way to and fro, its rate, its phase) of the
+/// people of [`SceneName::Throng`].
+const THRONG: [(usize, f64, f64, f64, f64, f64); 5] = [
+    (0, 1.00, 0.46, 0.12, 1.6, 0.0),
+    (2, 1.05, -0.44, 0.14, 1.5, 2.1),
+    (1, 1.35, 0.02, 0.16, 1.4, 4.0),
+    (3, 1.90, 0.45, 0.30, 1.2, 1.0),
+    (0, 2.00, -0.45, 0.30, 1.2, 3.0),
+];
+
+/// Goes from before the recording until then.
+fn until(stop_s: f64) -> Schedule {
+    Schedule::Once {
+        start_s: -1.0,
+        stop_s,
+    }
+}
+
+/// Stands until then and goes ever after.
+fn from(start_s: f64) -> Schedule {
+    Schedule::Once {
+        start_s,
+        stop_s: f64::INFINITY,
+    }
+}
+
 /// The furniture of a scene.
 pub(crate) fn furnishing(name: SceneName) -> Furnishing {
     Furnishing {
-        plain_walls: name == SceneName::Crowd,
+        plain_walls: matches!(name, SceneName::Crowd | SceneName::Throng),
         middle_table: matches!(name, SceneName::QuietDesk | SceneName::Loop),
     }
 }
@@ -30,7 +56,7 @@ pub(crate) fn actors(name: SceneName, seed: u64) -> Vec<Actor> {
     };
     match name {
         SceneName::QuietDesk | SceneName::Loop => {}
-        SceneName::Walking => {
+        SceneName::Walking | SceneName::Tripod | SceneName::LightsOut => {
             cast.carrier(
                 0,
                 Course::ellipse([0.05, 0.02], [1.10, 0.22], ACROSS_RAD, 0.80, 2.3),
@@ -95,6 +121,39 @@ pub(crate) fn actors(name: SceneName, seed: u64) -> Vec<Actor> {
             };
             cast.person(0, Arms::Swing, beside(-0.36, 0.10));
             cast.person(3, Arms::Swing, beside(0.42, 0.38));
+        }
+        SceneName::ComesToRest => {
+            let turn = ACROSS_RAD + 0.25;
+            let course = Course::ellipse([0.25, -0.10], [0.85, 0.0], turn, 0.75, 4.1);
+            cast.roles.push(Role::Trolley {
+                course: course.with_schedule(until(1.5)),
+                heading_rad: turn,
+                seed: 71,
+            });
+            let course = Course::ellipse([1.20, 0.20], [0.62, 0.20], ACROSS_RAD, 1.2, 4.4);
+            cast.person(1, Arms::Swing, course.with_schedule(until(2.0)));
+        }
+        SceneName::SetsOff => {
+            let course = Course::ellipse([0.20, -0.15], [0.60, 0.0], ACROSS_RAD, 1.0, 0.6);
+            cast.roles.push(Role::Chair {
+                course: course.with_schedule(from(1.5)),
+                heading_rad: 2.0,
+                seed: 73,
+            });
+            let course = Course::ellipse([1.10, 0.30], [0.70, 0.22], ACROSS_RAD, 1.1, 2.4);
+            cast.person(2, Arms::Swing, course.with_schedule(from(2.2)));
+        }
+        SceneName::Throng => {
+            for (who, away_m, aside_m, sweep_m, rate, phase) in THRONG {
+                let (sin, cos) = libm::sincos(ACROSS_RAD);
+                // from the place of the camera: away along the view, aside across it
+                let at = [
+                    -1.80 + away_m * sin + aside_m * cos,
+                    -1.34 - away_m * cos + aside_m * sin,
+                ];
+                let course = Course::ellipse(at, [sweep_m, 0.06], ACROSS_RAD, rate, phase);
+                cast.person(who, Arms::Swing, course);
+            }
         }
     }
     let number = |(k, role): (usize, Role)| Actor {

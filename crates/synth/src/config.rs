@@ -23,12 +23,25 @@ pub enum SceneName {
     InStep,
     /// Nothing moves; the camera goes round the room, 9.7 m and 25 s a lap.
     Loop,
+    /// A trolley rolls and a person walks; at 1.5 s the one stops for good, at 2 s the other.
+    ComesToRest,
+    /// A chair and a person stand as if they belonged to the room; at 1.5 s the one is drawn away,
+    /// at 2.2 s the other walks off.
+    SetsOff,
+    /// The people of [`SceneName::Walking`] before a camera that does not move at all.
+    Tripod,
+    /// [`SceneName::Walking`], and the light goes out twice: for 0.2 s at 1.2 s, for 0.5 s at 3 s.
+    /// Depth is measured all the same.
+    LightsOut,
+    /// Five people 1 to 2 m away, all on the move, cover half to two thirds of the picture; the
+    /// walls are plain.
+    Throng,
 }
 
 impl SceneName {
     /// Every scene, in the order of the documentation.
     #[must_use]
-    pub fn all() -> [Self; 6] {
+    pub fn all() -> [Self; 11] {
         [
             Self::QuietDesk,
             Self::Walking,
@@ -36,6 +49,11 @@ impl SceneName {
             Self::StopAndGo,
             Self::InStep,
             Self::Loop,
+            Self::ComesToRest,
+            Self::SetsOff,
+            Self::Tripod,
+            Self::LightsOut,
+            Self::Throng,
         ]
     }
 
@@ -49,6 +67,11 @@ impl SceneName {
             Self::StopAndGo => "stop_and_go",
             Self::InStep => "in_step",
             Self::Loop => "loop",
+            Self::ComesToRest => "comes_to_rest",
+            Self::SetsOff => "sets_off",
+            Self::Tripod => "tripod",
+            Self::LightsOut => "lights_out",
+            Self::Throng => "throng",
         }
     }
 }
@@ -156,9 +179,7 @@ impl Default for SceneConfig {
 #[non_exhaustive]
 pub enum SynthError {
     /// No such scene.
-    #[error(
-        "no scene is called '{name}'; there are quiet_desk, walking, crowd, stop_and_go, in_step, loop"
-    )]
+    #[error("no scene is called '{name}'; there are {}", SceneName::all().map(SceneName::as_str).join(", "))]
     UnknownScene {
         /// What was asked for.
         name: String,
@@ -202,7 +223,12 @@ mod tests {
         }
         assert_eq!("stop-and-go".parse(), Ok(SceneName::StopAndGo), "hyphens");
         let error = "ballroom".parse::<SceneName>().expect_err("no such scene");
-        assert!(error.to_string().contains("'ballroom'"), "{error}");
+        let text = error.to_string();
+        assert!(text.contains("'ballroom'"), "{text}");
+        assert!(
+            text.ends_with("in_step, loop, comes_to_rest, sets_off, tripod, lights_out, throng"),
+            "{text}"
+        );
     }
 
     #[test]

@@ -9,6 +9,9 @@ use nalgebra::Vector2;
 pub(crate) enum Schedule {
     /// Always.
     Steady,
+    /// Goes from `start_s`, which may lie before the recording, to `stop_s`, which may never come
+    /// (infinite); still before and after.
+    Once { start_s: f64, stop_s: f64 },
     /// Still until `first_s`, then `go_s` of motion and `stop_s` of rest in turn. Starting and
     /// stopping take [`RAMP_S`] each and are part of `go_s`.
     StopAndGo {
@@ -26,33 +29,39 @@ impl Schedule {
     ///
     /// The pace rises as ½ - ½ cos(π x / RAMP_S), whose integral is ½ (x - RAMP_S/π sin(π x / RAMP_S)).
     pub(crate) fn own_time(&self, t_s: f64) -> (f64, f64) {
-        let Self::StopAndGo {
-            first_s,
-            go_s,
-            stop_s,
-        } = *self
-        else {
-            return (t_s, 1.0);
-        };
-        let since = t_s - first_s;
-        if since <= 0.0 {
-            return (0.0, 0.0);
+        match *self {
+            Self::Steady => (t_s, 1.0),
+            Self::Once { start_s, stop_s } => one_go(t_s - start_s, stop_s - start_s),
+            Self::StopAndGo {
+                first_s,
+                go_s,
+                stop_s,
+            } => {
+                let since = (t_s - first_s).max(0.0);
+                let turns = (since / (go_s + stop_s)).floor();
+                let (within, pace) = one_go(since - turns * (go_s + stop_s), go_s);
+                // own time that passes in one go
+                let a_turn = go_s - RAMP_S;
+                (turns * a_turn + within, pace)
+            }
         }
-        let rise = |x: f64| 0.5 * (x - RAMP_S / PI * libm::sin(PI * x / RAMP_S));
-        let pace = |x: f64| 0.5 - 0.5 * libm::cos(PI * x / RAMP_S);
-        let a_turn = go_s - RAMP_S; // own time that passes in one go
-        let turns = (since / (go_s + stop_s)).floor();
-        let x = since - turns * (go_s + stop_s);
-        let (within, pace) = if x < RAMP_S {
-            (rise(x), pace(x))
-        } else if x < go_s - RAMP_S {
-            (x - 0.5 * RAMP_S, 1.0)
-        } else if x < go_s {
-            (a_turn - rise(go_s - x), pace(go_s - x))
-        } else {
-            (a_turn, 0.0)
-        };
-        (turns * a_turn + within, pace)
+    }
+}
+
+/// (τ, dτ/dt) at `x` seconds after the start of a motion that lasts `go_s`, ramps included.
+fn one_go(x: f64, go_s: f64) -> (f64, f64) {
+    let rise = |x: f64| 0.5 * (x - RAMP_S / PI * libm::sin(PI * x / RAMP_S));
+    let pace = |x: f64| 0.5 - 0.5 * libm::cos(PI * x / RAMP_S);
+    if x <= 0.0 {
+        (0.0, 0.0)
+    } else if x < RAMP_S {
+        (rise(x), pace(x))
+    } else if x < go_s - RAMP_S {
+        (x - 0.5 * RAMP_S, 1.0)
+    } else if x < go_s {
+        (go_s - RAMP_S - rise(go_s - x), pace(go_s - x))
+    } else {
+        (go_s - RAMP_S, 0.0)
     }
 }
 
@@ -82,6 +91,9 @@ pub(crate) struct Place {
     pub(crate) gone_m: f64,
     /// 0 standing to 1 going.
     pub(crate) pace: f64,
+    /// Clock of what a mover does besides going, such as looking around, seconds. Who stops for
+    /// good ([`Schedule::Once`]) holds still altogether.
+    pub(crate) idle_s: f64,
 }
 
 impl Course {
@@ -144,6 +156,10 @@ impl Course {
             },
             gone_m: self.length(angle).abs(),
             pace: if stands { 0.0 } else { pace },
+            idle_s: match self.schedule {
+                Schedule::Once { .. } => own,
+                Schedule::Steady | Schedule::StopAndGo { .. } => t_s,
+            },
         }
     }
 
@@ -184,6 +200,25 @@ mod tests {
             assert!((0.0..=1.0).contains(&pace), "pace {pace}");
             integral += h * schedule.own_time(t + 0.5 * h).1;
         }
+        let once = Schedule::Once {
+            start_s: 1.0,
+            stop_s: 3.0,
+        };
+        for k in 0..250 {
+            let t = 0.01 * f64::from(k);
+            assert_eq!(
+                once.own_time(t),
+                schedule.own_time(t),
+                "the first go, at {t}"
+            );
+        }
+        assert_eq!(once.own_time(9.0), once.own_time(3.0), "and no other");
+        let for_ever = Schedule::Once {
+            start_s: -1.0,
+            stop_s: f64::INFINITY,
+        };
+        let (own, pace) = for_ever.own_time(7.0);
+        assert!((own - 7.8).abs() < 1e-12 && pace >= 1.0, "{own}, {pace}");
         assert!(schedule.own_time(0.99).1 <= 0.0, "still at first");
         assert!(schedule.own_time(3.2).1 <= 0.0, "still again");
         assert!(schedule.own_time(5.0).1 >= 1.0, "goes again");

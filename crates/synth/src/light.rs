@@ -9,6 +9,7 @@
 use garad_core::{Par, Se3};
 use nalgebra::{Matrix3, Vector3};
 
+use crate::config::SceneName;
 use crate::material::Material;
 use crate::pattern::{Rgb, lerp};
 use crate::shape::{FACE_AXES, Shape, Surface, face_normal, length};
@@ -64,6 +65,21 @@ impl Lamp {
         // wrapped a little around the edge, as from a source of some size
         let incidence = ((n.dot(&to_lamp) / r + 0.15) / 1.15).max(0.0);
         self.power * out * incidence / (0.35 + 0.30 * r2)
+    }
+}
+
+/// When the light is out in [`SceneName::LightsOut`], seconds.
+const DARK_S: [[f64; 2]; 2] = [[1.2, 1.4], [3.0, 3.5]];
+/// What is left of it then: white is 11 of 255.
+const LEFT_IN_THE_DARK: f32 = 0.002;
+
+/// Share of the light that is on.
+pub(crate) fn brightness(name: SceneName, t_s: f64) -> f32 {
+    let dark = DARK_S.iter().any(|&[from, to]| (from..to).contains(&t_s));
+    if name == SceneName::LightsOut && dark {
+        LEFT_IN_THE_DARK
+    } else {
+        1.0
     }
 }
 

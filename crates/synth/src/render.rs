@@ -35,8 +35,15 @@ struct Pixel {
 /// Renders a view.
 ///
 /// A pixel's colour is its centre's (`supersample` 1) or ½ centre + ⅛ of each of its corners (2),
-/// in linear light. Corners are computed once for the four pixels that share them.
-pub(crate) fn render(view: &View, lighting: &Lighting, supersample: usize, par: Par) -> Rendered {
+/// in linear light. Corners are computed once for the four pixels that share them. All light is
+/// scaled by `brightness`.
+pub(crate) fn render(
+    view: &View,
+    lighting: &Lighting,
+    brightness: f32,
+    supersample: usize,
+    par: Par,
+) -> Rendered {
     let (width, height) = (view.camera.width, view.camera.height);
     let spread = if supersample == 1 { 1.0 } else { 0.75 };
     let sample = |u: f64, v: f64| shade(view, lighting, view.cast(u, v), (u, v), spread).0;
@@ -63,7 +70,7 @@ pub(crate) fn render(view: &View, lighting: &Lighting, supersample: usize, par: 
             }
         }
         Pixel {
-            rgb: colour.map(stored),
+            rgb: colour.map(|light| stored(brightness * light)),
             #[allow(clippy::cast_possible_truncation, reason = "depth images are f32")]
             depth: hit.map_or(0.0, |hit| hit.z as f32),
             object: hit.map_or(0, |hit| view.solids[hit.index].object),

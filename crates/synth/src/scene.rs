@@ -9,7 +9,7 @@ use crate::camera_path::CameraPath;
 use crate::cast::{actors, furnishing};
 use crate::config::{SceneConfig, SynthError};
 use crate::flow;
-use crate::light::Lighting;
+use crate::light::{Lighting, brightness};
 use crate::noise;
 use crate::render::{Rendered, render};
 use crate::room::furnished;
@@ -164,16 +164,22 @@ impl Scene {
         let lighting = self
             .lighting
             .get_or_init(|| Lighting::bake(&self.room, par));
-        let exact = render(&self.view(index), lighting, self.config.supersample, par);
-        let moving: Vec<bool> = self
+        let exact = render(
+            &self.view(index),
+            lighting,
+            self.brightness(index),
+            self.config.supersample,
+            par,
+        );
+        let moving: Vec<u8> = self
             .actors
             .iter()
-            .map(|a| self.counts_as_moving(a, index))
+            .filter(|actor| self.counts_as_moving(actor, index))
+            .map(|actor| actor.object)
             .collect();
-        let mask = exact.object.map(|&id| {
-            let moves = id > 0 && moving[usize::from(id) - 1];
-            if moves { 255 } else { 0 }
-        });
+        let mask = exact
+            .object
+            .map(|id| if moving.contains(id) { 255 } else { 0 });
         let (rgb, depth, object) = self.sensed(exact, index, par);
         SynthFrame {
             t_s: self.timestamp(index),
@@ -183,6 +189,24 @@ impl Scene {
             object,
             world_from_camera: self.world_from_camera(index),
         }
+    }
+
+    /// The frame without what counts as moving in it: what a map of the static scene would show at
+    /// that moment. Things that stand are in it, so it is not the twin's frame, and a thing that
+    /// stops or sets off enters or leaves it when the mask says so. Its mask is empty.
+    #[must_use]
+    pub fn background(&self, index: usize, par: Par) -> SynthFrame {
+        let mut still = self.clone();
+        still
+            .actors
+            .retain(|actor| !self.counts_as_moving(actor, index));
+        still.frame(index, par)
+    }
+
+    /// Share of the light that is on in a frame: 1, or next to nothing where the lights are out.
+    #[must_use]
+    pub fn brightness(&self, index: usize) -> f32 {
+        brightness(self.config.name, self.timestamp(index))
     }
 
     /// Exact optical flow from frame `i` to frame `j`, pixels: where the surface point in the middle

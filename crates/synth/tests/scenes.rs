@@ -235,6 +235,191 @@ fn the_mask_follows_stop_and_go() {
     assert_eq!(trolley(118), 0, "forgotten");
 }
 
+/// Values of the mask on one mover; all of them are alike.
+fn state_of(frame: &SynthFrame, object: u8) -> u8 {
+    let pairs = frame.object.data().iter().zip(frame.mask.data());
+    let of_mover = pairs.filter(|(id, _)| **id == object);
+    let values: Vec<u8> = of_mover.map(|(_, m)| *m).collect();
+    assert!(
+        values.len() > 100,
+        "mover {object}: {} pixels",
+        values.len()
+    );
+    assert!(
+        values.iter().all(|v| *v == values[0]),
+        "one mover, one state"
+    );
+    values[0]
+}
+
+fn nothing_moves(frame: &SynthFrame) -> bool {
+    frame.mask.data().iter().all(|&m| m == 0)
+}
+
+/// The trolley stops at 1.5 s (frame 45), the person at 2 s (60); ten frames later each belongs to
+/// the room, for good.
+#[test]
+fn what_comes_to_rest_becomes_part_of_the_room() {
+    let scene = scene(SceneName::ComesToRest, 96);
+    let states = |index: usize| {
+        let frame = scene.frame(index, Par::Seq);
+        [1, 2].map(|object| state_of(&frame, object))
+    };
+    for index in [0, 20, 45, 52] {
+        assert_eq!(states(index), [255, 255], "both move, frame {index}");
+    }
+    assert_eq!(states(56), [0, 255], "the trolley is at rest");
+    assert_eq!(states(67), [0, 255], "the person's last step is remembered");
+    for index in [72, 100, 149, 400] {
+        assert_eq!(states(index), [0, 0], "for good, frame {index}");
+    }
+    // At rest to the last digit: their flow is what poses and depth say.
+    let (frame, flow) = (scene.frame(100, Par::Seq), scene.flow(100, 149, Par::Seq));
+    let camera = scene.camera();
+    let to_149 = scene.world_from_camera(149).inverse();
+    let mut still = 0;
+    for at in pixels(frame.depth.size(), 0) {
+        let [du, dv] = flow[at].map(f64::from);
+        if frame.object[at] > 0 && !du.is_nan() {
+            let p = to_149 * world_point(&camera, &frame, at);
+            let expected = camera.project(&p).expect("before the camera");
+            let uv = Vector2::new(at.0 as f64 + du, at.1 as f64 + dv);
+            assert!((uv - expected).norm() < 2e-4, "{at:?}: {uv} {expected}");
+            still += 1;
+        }
+    }
+    assert!(still > 200, "{still} pixels of movers seen in both");
+}
+
+/// Nothing moves until 1.5 s (frame 45); then the chair does, and from 2.2 s (66) the person.
+#[test]
+fn what_sets_off_was_part_of_the_room() {
+    let scene = scene(SceneName::SetsOff, 96);
+    let first = scene.frame(0, Par::Seq);
+    for index in [0, 10, 30, 45] {
+        let frame = scene.frame(index, Par::Seq);
+        assert!(nothing_moves(&frame), "frame {index}");
+        assert_eq!([1, 2].map(|k| state_of(&frame, k)), [0, 0], "but is there");
+    }
+    let states = |index: usize| [1, 2].map(|k| state_of(&scene.frame(index, Par::Seq), k));
+    assert_eq!(states(50), [255, 0], "the chair sets off");
+    assert_eq!(states(66), [255, 0], "the person has not");
+    for index in [71, 100, 149] {
+        assert_eq!(states(index), [255, 255], "both, frame {index}");
+    }
+    // Before they start, the movers are the room's: their flow is what poses and depth say.
+    let flow = scene.flow(0, 45, Par::Seq);
+    let to_45 = scene.world_from_camera(45).inverse();
+    let camera = scene.camera();
+    for at in pixels(first.depth.size(), 0) {
+        let [du, dv] = flow[at].map(f64::from);
+        if !du.is_nan() {
+            let p = to_45 * world_point(&camera, &first, at);
+            let expected = camera.project(&p).expect("before the camera");
+            let uv = Vector2::new(at.0 as f64 + du, at.1 as f64 + dv);
+            assert!((uv - expected).norm() < 2e-4, "{at:?}: {uv} {expected}");
+        }
+    }
+}
+
+/// The background has what stands, lacks what moves, and is the frame itself elsewhere.
+#[test]
+fn the_background_is_what_does_not_move() {
+    let scene = scene(SceneName::ComesToRest, 96);
+    for (index, movers) in [(20, 2), (60, 1), (100, 0)] {
+        let frame = scene.frame(index, Par::Seq);
+        let background = scene.background(index, Par::Seq);
+        assert!(nothing_moves(&background), "frame {index}");
+        let mut moving = [false; 3];
+        for at in pixels(frame.depth.size(), 0) {
+            if frame.mask[at] == 255 {
+                moving[usize::from(frame.object[at])] = true;
+                assert!(background.depth[at] > frame.depth[at], "{at:?} behind");
+            } else {
+                let same = background.depth[at].to_bits() == frame.depth[at].to_bits();
+                assert!(same, "{at:?} of frame {index}");
+                assert_eq!(background.object[at], frame.object[at], "{at:?}");
+            }
+        }
+        let seen = moving.iter().filter(|m| **m).count();
+        assert_eq!(seen, movers, "movers in frame {index}");
+        if movers == 0 {
+            assert_eq!(background, frame, "the whole frame");
+        }
+    }
+}
+
+#[test]
+fn a_tripod_stands_and_people_walk() {
+    let scene = scene(SceneName::Tripod, 96);
+    let first = scene.world_from_camera(0);
+    for index in 0..scene.len() {
+        assert_eq!(scene.world_from_camera(index), first, "frame {index}");
+    }
+    let (frame, flow) = (scene.frame(40, Par::Seq), scene.flow(40, 43, Par::Seq));
+    let (mut room, mut fastest) = (0, 0.0f32);
+    for (&[du, dv], &id) in flow.data().iter().zip(frame.object.data()) {
+        if id == 0 && !du.is_nan() {
+            assert!(du.abs().max(dv.abs()) < 1e-4, "the room has no flow");
+            room += 1;
+        } else if id > 0 && !du.is_nan() {
+            fastest = fastest.max(du.abs());
+        }
+    }
+    assert!(room > 5000 && fastest > 1.0, "{room} px, {fastest} px");
+}
+
+/// Six frames from 1.2 s and fifteen from 3 s are black; all else is as in `walking`.
+#[test]
+fn lights_go_out_and_nothing_else_changes() {
+    let (dim, lit) = (
+        scene(SceneName::LightsOut, 96),
+        scene(SceneName::Walking, 96),
+    );
+    let dark: Vec<usize> = (0..150).filter(|&i| dim.brightness(i) < 1.0).collect();
+    assert_eq!(dark, (36..42).chain(90..105).collect::<Vec<_>>(), "dark");
+    assert!((0..150).all(|i| lit.brightness(i) >= 1.0), "always lit");
+    for (index, is_dark) in [
+        (35, false),
+        (36, true),
+        (41, true),
+        (42, false),
+        (104, true),
+    ] {
+        let (a, b) = (dim.frame(index, Par::Seq), lit.frame(index, Par::Seq));
+        let brightest = a.rgb.data().iter().flatten().max().copied();
+        assert_eq!(
+            brightest < Some(16),
+            is_dark,
+            "frame {index}: {brightest:?}"
+        );
+        assert_eq!(a.rgb == b.rgb, !is_dark, "colour of frame {index}");
+        let rest = |f: SynthFrame| (f.depth, f.mask, f.object, f.world_from_camera);
+        let moving = a.mask.data().iter().filter(|&&m| m == 255).count();
+        assert!(moving > 300, "someone walks: {moving} pixels");
+        assert!(rest(a) == rest(b), "all else of frame {index}");
+    }
+}
+
+#[test]
+fn a_throng_is_most_of_the_picture() {
+    let scene = scene(SceneName::Throng, 64);
+    let mut shares = Vec::new();
+    for i in (0..150).step_by(6) {
+        let frame = scene.frame(i, Par::Seq);
+        let moving = frame.mask.data().iter().filter(|&&m| m == 255).count();
+        let movers = frame.object.data().iter().filter(|&&id| id > 0).count();
+        assert_eq!(moving, movers, "nobody stands in frame {i}");
+        let nearest = frame.depth.data().iter().fold(9.0, |a: f32, z| a.min(*z));
+        assert!(nearest > 0.5, "nobody steps into the camera: {nearest} m");
+        shares.push(moving as f64 / (64.0 * 48.0));
+    }
+    let over_half = shares.iter().filter(|&&s| s > 0.5).count();
+    assert!(4 * over_half > 3 * shares.len(), "{shares:?}");
+    let within = shares.iter().all(|s| (0.45..0.75).contains(s));
+    assert!(within, "half to two thirds: {shares:?}");
+}
+
 /// Two people keep their place in the picture while the room goes by.
 #[test]
 fn in_step_is_slower_on_people_than_on_the_room() {
@@ -438,6 +623,11 @@ fn bits_are_those_of_every_other_machine() {
         "stop_and_go afb173b70056d048",
         "in_step 823db3950d006552",
         "loop 6317fc369b01820f",
+        "comes_to_rest d2d212738d936f04",
+        "sets_off 5ea89b2de9e81310",
+        "tripod 7b49102bd61082b7",
+        "lights_out e533a47ee4867120",
+        "throng 01aaddf8fb848401",
     ];
     assert_eq!(hashes, expected, "bits of frame 11 of each scene");
 }
