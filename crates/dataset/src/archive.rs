@@ -103,6 +103,15 @@ impl Archive {
         self.path.join(format!("{}{name}", self.root))
     }
 
+    /// Whether a file lies in a folder of this name, or deeper.
+    pub(crate) fn has_folder(&self, name: &str) -> bool {
+        let start = format!("{}{name}/", self.root);
+        let mut from_there = self.files.range(start.clone()..);
+        from_there
+            .next()
+            .is_some_and(|(file, _)| file.starts_with(&start))
+    }
+
     /// The bytes of a file; `None` if there is none of that name.
     pub(crate) fn read(&self, name: &str) -> Result<Option<Vec<u8>>, DatasetError> {
         match self.files.get(&format!("{}{name}", self.root)) {

@@ -12,8 +12,11 @@ use crate::decode::{self, Origin};
 use crate::errors::DatasetError;
 use crate::frames::Frames;
 use crate::list::{Entry, parse_list};
-use crate::source::{Source, read_file};
+use crate::source::{Source, clean_name, read_file};
 use crate::trajectory::parse_trajectory;
+
+/// The folder of a recording that holds its masks, if it has any.
+pub const MASK_FOLDER: &str = "mask";
 
 /// How a recording is opened.
 ///
@@ -199,29 +202,40 @@ impl Dataset {
     /// [`DatasetError::NoSuchFrame`], [`DatasetError::NotFound`], [`DatasetError::Image`],
     /// [`DatasetError::ImageSize`].
     pub fn read_mask(&self, dir: &Path, i: usize) -> Result<MaskImage, DatasetError> {
-        let (colour, _) = self.inner.pair(i)?;
-        let stem = Path::new(&colour.file).file_stem().unwrap_or_default();
-        let by_stamp = dir.join(format!("{}.png", colour.stamp));
-        let by_name = dir.join(format!("{}.png", stem.to_string_lossy()));
-        let (path, bytes) = match read_file(&by_stamp)? {
-            Some(bytes) => (by_stamp, bytes),
-            None => match read_file(&by_name)? {
-                Some(bytes) => (by_name, bytes),
-                None => {
-                    return Err(DatasetError::NotFound {
-                        path: by_stamp,
-                        expected: "a mask named by the timestamp of its colour image",
-                    });
-                }
-            },
+        let read = |name: &str| read_file(&dir.join(name));
+        let found = self.inner.find_mask(i, read, |name| dir.join(name))?;
+        found.ok_or_else(|| DatasetError::NotFound {
+            path: dir.join(self.inner.mask_names(i)[0].as_str()),
+            expected: "a mask named by the timestamp of its colour image",
+        })
+    }
+
+    /// The mask of frame i from a folder of the recording itself, in an archive too; named and
+    /// valued as for [`Dataset::read_mask`]. `None` if the folder has none for this frame, or the
+    /// recording no such folder. By custom the folder is called [`MASK_FOLDER`].
+    ///
+    /// # Errors
+    /// [`DatasetError::NoSuchFrame`]; [`DatasetError::UnsafeName`] for a folder that leads out of the
+    /// recording; [`DatasetError::Image`], [`DatasetError::ImageSize`], [`DatasetError::TooLarge`],
+    /// [`DatasetError::Archive`].
+    pub fn read_own_mask(&self, folder: &str, i: usize) -> Result<Option<MaskImage>, DatasetError> {
+        let source = &self.inner.source;
+        let Some(folder) = clean_name(folder) else {
+            return Err(DatasetError::UnsafeName {
+                path: self.inner.path.clone(),
+                name: folder.to_owned(),
+            });
         };
-        let origin = Origin {
-            frame: Some(i),
-            path: &path,
-        };
-        let mask = decode::mask(&bytes, origin)?;
-        self.inner.check_size(origin, mask.size())?;
-        Ok(mask)
+        let inside = |name: &str| format!("{folder}/{name}");
+        let read = |name: &str| source.read(&inside(name));
+        self.inner
+            .find_mask(i, read, |name| source.locate(&inside(name)))
+    }
+
+    /// Whether the recording has a folder of this name, such as [`MASK_FOLDER`].
+    #[must_use]
+    pub fn has_folder(&self, folder: &str) -> bool {
+        clean_name(folder).is_some_and(|folder| self.inner.source.has_folder(&folder))
     }
 }
 
@@ -232,6 +246,38 @@ impl Inner {
             frame: i,
             len: self.pairs.len(),
         })
+    }
+
+    /// What the mask of frame i may be called, the first choice first; i is a frame.
+    fn mask_names(&self, i: usize) -> [String; 2] {
+        let colour = &self.pairs[i].0;
+        let stem = Path::new(&colour.file).file_stem().unwrap_or_default();
+        [
+            format!("{}.png", colour.stamp),
+            format!("{}.png", stem.to_string_lossy()),
+        ]
+    }
+
+    /// The first of the names that `read` knows, decoded; `locate` says how it is called in messages.
+    fn find_mask(
+        &self,
+        i: usize,
+        read: impl Fn(&str) -> Result<Option<Vec<u8>>, DatasetError>,
+        locate: impl Fn(&str) -> PathBuf,
+    ) -> Result<Option<MaskImage>, DatasetError> {
+        self.pair(i)?;
+        for name in self.mask_names(i) {
+            if let Some(bytes) = read(&name)? {
+                let origin = Origin {
+                    frame: Some(i),
+                    path: &locate(&name),
+                };
+                let mask = decode::mask(&bytes, origin)?;
+                self.check_size(origin, mask.size())?;
+                return Ok(Some(mask));
+            }
+        }
+        Ok(None)
     }
 
     fn read(&self, i: usize) -> Result<Frame, DatasetError> {

@@ -6,6 +6,7 @@
 //!                                         camera.txt ──calibration──────────────────────┤
 //!                                         groundtruth.txt ──trajectory──────────────────┘
 //! Dataset::read(i), frames(n) ──decode──► Frame (colour, depth in metres)
+//! Dataset::read_mask, read_own_mask ──decode──► what moves, if somebody knows
 //! ```
 //!
 //! Reading order: [`dataset`] → [`calibration`] → [`associate`](fn@associate) → [`trajectory`],
@@ -44,7 +45,7 @@ pub use associate::associate;
 pub use atomic::{write_atomically, write_bytes_atomically};
 pub use bonn::bonn_camera_from_marker;
 pub use calibration::{Calibration, Preset};
-pub use dataset::{Dataset, Frame, OpenOptions};
+pub use dataset::{Dataset, Frame, MASK_FOLDER, OpenOptions};
 pub use errors::DatasetError;
 pub use frames::Frames;
 pub use ply::{PlyOptions, read_ply, write_ply};

@@ -74,6 +74,14 @@ impl Source {
             Self::Archive(archive) => archive.read(name),
         }
     }
+
+    /// Whether there is a folder of this (clean) name; in an archive, one with files in it.
+    pub(crate) fn has_folder(&self, name: &str) -> bool {
+        match self {
+            Self::Folder(path) => path.join(name).is_dir(),
+            Self::Archive(archive) => archive.has_folder(name),
+        }
+    }
 }
 
 /// The bytes of a regular file of at most [`limits::FILE_BYTES`]; `None` if there is none.

@@ -1,16 +1,17 @@
 //! Recordings inside archives, and archives that mean harm.
 
 use std::fs::{self, File};
-use std::io::Write;
+use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
-use garad_dataset::{Dataset, DatasetError, OpenOptions};
+use garad_dataset::{Dataset, DatasetError, MASK_FOLDER, OpenOptions};
+use image::{ImageBuffer, ImageFormat, Luma};
 use tempfile::TempDir;
 use zip::write::SimpleFileOptions;
 
-use crate::fixture::Recording;
+use crate::fixture::{Recording, SIZE};
 
 const FILES: [&str; 8] = [
     "rgb.txt",
@@ -157,6 +158,72 @@ fn archives_read_like_folders() {
         let left: Vec<_> = fs::read_dir(folder.0.path()).expect("listed").collect();
         assert_eq!(left.len(), 6, "nothing is unpacked");
     }
+}
+
+/// Masks travel with the recording: as a folder, as any archive.
+#[test]
+fn masks_are_read_from_inside() {
+    let mut png = Vec::new();
+    ImageBuffer::from_fn(SIZE.0, SIZE.1, |x, _| {
+        Luma([[0u8, 128, 255][x as usize % 3]])
+    })
+    .write_to(&mut Cursor::new(&mut png), ImageFormat::Png)
+    .expect("written");
+    let recording = Recording::new(2);
+    fs::create_dir(recording.at("mask")).expect("made");
+    recording.write("mask/1.00.png", &png);
+    let with_mask = |prefix: &str| {
+        let mut tar = good_tar(prefix);
+        let name = format!("{prefix}mask/1.00.png");
+        append(&mut tar, tar::EntryType::Regular, &name, &png);
+        tar.into_inner().expect("finished")
+    };
+    let mut entries = good_entries("rgbd_room/");
+    entries.push(("rgbd_room/mask/1.00.png".to_owned(), 0o644, png.clone()));
+    let folder = Folder::new();
+    let recordings = [
+        recording.path().to_path_buf(),
+        folder.file("a.tar", &with_mask("")),
+        folder.file("a.tgz", &gzip(&with_mask("some/rgbd_room/"))),
+        folder.zip("a.zip", &entries),
+    ];
+    for path in recordings {
+        let dataset = open(&path).expect("good");
+        let at = path.display();
+        assert!(dataset.has_folder(MASK_FOLDER), "{at}");
+        let mask = dataset.read_own_mask(MASK_FOLDER, 0).expect("good");
+        let mask = mask.expect("frame 0 has one");
+        assert_eq!(mask.row(3)[..4], [0, 128, 255, 0], "{at}");
+        let from_outside = dataset.read_mask(&recording.at("mask"), 0);
+        assert_eq!(from_outside.expect("good"), mask, "{at}: one convention");
+        let second = dataset.read_own_mask(MASK_FOLDER, 1).expect("no fault");
+        assert_eq!(second, None, "{at}: frame 1 has none");
+        let past = dataset.read_own_mask(MASK_FOLDER, 2).expect_err("2 frames");
+        assert!(matches!(past, DatasetError::NoSuchFrame { .. }), "{past}");
+        assert!(!dataset.has_folder("mas"), "{at}: half a name");
+        let other = dataset.read_own_mask("masks", 0).expect("no fault");
+        assert_eq!(other, None, "{at}: another folder");
+        for climbing in ["..", "/mask", "mask/../..", ""] {
+            let error = dataset.read_own_mask(climbing, 0).expect_err(climbing);
+            assert!(matches!(error, DatasetError::UnsafeName { .. }), "{error}");
+            assert!(!dataset.has_folder(climbing), "{climbing}");
+        }
+    }
+    let bare = folder.file("bare.tar", &good_tar("").into_inner().expect("finished"));
+    assert!(!open(&bare).expect("good").has_folder(MASK_FOLDER), "none");
+}
+
+/// A spoilt mask is named with the archive and its frame.
+#[test]
+fn spoilt_masks_are_named() {
+    let mut entries = good_entries("");
+    entries.push(("mask/1.10.png".to_owned(), 0o644, b"no picture".to_vec()));
+    let folder = Folder::new();
+    let dataset = open(&folder.zip("a.zip", &entries)).expect("opens");
+    let error = dataset.read_own_mask(MASK_FOLDER, 1).expect_err("spoilt");
+    let message = error.to_string();
+    assert!(message.contains("a.zip/mask/1.10.png"), "{message}");
+    assert!(message.contains("frame 1"), "{message}");
 }
 
 #[test]
