@@ -92,7 +92,7 @@ impl<T: Real> Gradients<T> {
         self.log_scales[i] = row.log_scale;
         self.quaternions[i] = row.quaternion;
         self.opacity_logits[i] = row.opacity_logit;
-        self.sh[i * k..(i + 1) * k].copy_from_slice(&row.sh[..k]);
+        row.put_sh(&mut self.sh[i * k..(i + 1) * k]);
         for (sum, part) in self.pose.iter_mut().zip(row.pose) {
             *sum += part;
         }

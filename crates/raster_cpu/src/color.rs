@@ -6,6 +6,7 @@ use garad_core::{GaussianMap, Real, sh};
 ///
 /// `None` when a coefficient is not finite. A mean on the centre itself has no direction; the
 /// near plane has removed it before.
+#[inline]
 pub(crate) fn color<T: Real>(map: &GaussianMap<T>, i: usize, center: [T; 3]) -> Option<[T; 3]> {
     let coefficients = map.sh_of(i);
     if !coefficients.iter().flatten().all(|v| v.is_finite()) {
@@ -17,6 +18,7 @@ pub(crate) fn color<T: Real>(map: &GaussianMap<T>, i: usize, center: [T; 3]) -> 
 }
 
 /// d and the distance |mean - c|, metres.
+#[inline]
 fn direction<T: Real>(mean: [T; 3], center: [T; 3]) -> ([T; 3], T) {
     let [x, y, z] = [0, 1, 2].map(|k| mean[k] - center[k]);
     let norm = (x * x + y * y + z * z).sqrt();
@@ -28,8 +30,9 @@ fn direction<T: Real>(mean: [T; 3], center: [T; 3]) -> ([T; 3], T) {
 /// What [`color`] passes back.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ColorGradient<T> {
-    /// ∂L/∂fₖ, zero beyond the map's degree.
-    pub(crate) sh: [[T; 3]; sh::MAX_COEFFICIENTS],
+    /// Yₖ(d), zero beyond the map's degree, and g: ∂L/∂fₖ = Yₖ g.
+    pub(crate) basis: [T; sh::MAX_COEFFICIENTS],
+    pub(crate) g: [T; 3],
     /// ∂L/∂(mean - c) in the world, 1/m; across d.
     pub(crate) offset: [T; 3],
 }
@@ -39,6 +42,7 @@ pub(crate) struct ColorGradient<T> {
 /// ∂L/∂fₖ = Yₖ(d) g,   ∂L/∂(mean - c) = (1 - d dᵀ) Σₖ (fₖ·g) ∇Yₖ(d) / |mean - c|
 ///
 /// g = ∂L/∂color, with 0 in the channels that are clamped.
+#[inline]
 pub(crate) fn color_backward<T: Real>(
     map: &GaussianMap<T>,
     i: usize,
@@ -55,6 +59,11 @@ pub(crate) fn color_backward<T: Real>(
     });
     let (direction, norm) = direction(map.means[i], center);
     let basis = sh::basis(map.sh_degree(), direction);
+    if map.sh_degree() == 0 {
+        // The same from everywhere.
+        let offset = [T::ZERO; 3];
+        return ColorGradient { basis, g, offset };
+    }
     let slopes = sh::basis_gradient(map.sh_degree(), direction);
     let mut d_direction = [T::ZERO; 3];
     for (coefficient, slope) in map.sh_of(i).iter().zip(&slopes) {
@@ -67,7 +76,8 @@ pub(crate) fn color_backward<T: Real>(
         + direction[1] * d_direction[1]
         + direction[2] * d_direction[2];
     ColorGradient {
-        sh: basis.map(|b| g.map(|g| b * g)),
+        basis,
+        g,
         offset: [0, 1, 2].map(|k| (d_direction[k] - along * direction[k]) / norm),
     }
 }

@@ -29,6 +29,7 @@ pub(crate) struct Covariance2<T> {
 /// Rotation matrix of a quaternion (w, x, y, z) of any length but zero, row by row (R2).
 ///
 /// `None` when the squared length is 0 or not finite: such a quaternion names no rotation.
+#[inline]
 #[rustfmt::skip]
 pub(crate) fn rotation<T: Real>([w, x, y, z]: [T; 4]) -> Option<[[T; 3]; 3]> {
     let norm = (w * w + x * x + y * y + z * z).sqrt();
@@ -51,6 +52,7 @@ pub(crate) fn rotation<T: Real>([w, x, y, z]: [T; 4]) -> Option<[[T; 3]; 3]> {
 /// ∂L/∂q = (1 - q̂ q̂ᵀ) Σᵢⱼ Gᵢⱼ ∂Rᵢⱼ/∂q̂ / |q|
 ///
 /// Orthogonal to q: the length of q changes nothing.
+#[inline]
 pub(crate) fn rotation_backward<T: Real>(quaternion: [T; 4], g: &[[T; 3]; 3]) -> [T; 4] {
     let [w, x, y, z] = quaternion;
     let norm = (w * w + x * x + y * y + z * z).sqrt();
@@ -75,6 +77,7 @@ pub(crate) fn rotation_backward<T: Real>(quaternion: [T; 4], g: &[[T; 3]; 3]) ->
 /// ∂u/∂p = fx/z (r₀ - s_x r₂),  ∂v/∂p = fy/z (r₁ - s_y r₂),  s = clamp(x/z, y/z)
 ///
 /// with rᵢ the rows of W, the rotation of `camera_from_world`.
+#[inline]
 pub(crate) fn pixel_from_world<T: Real>(view: &View<T>, p_cam: [T; 3]) -> [[T; 3]; 2] {
     let [x, y, z] = p_cam;
     let r = &view.rotation;
@@ -86,6 +89,7 @@ pub(crate) fn pixel_from_world<T: Real>(view: &View<T>, p_cam: [T; 3]) -> [[T; 3
 }
 
 /// A slope cut to ± `limit`, and whether that changed it.
+#[inline]
 fn clamped<T: Real>(slope: T, limit: T) -> (T, bool) {
     (slope.max(-limit).min(limit), slope.abs() > limit)
 }
@@ -107,6 +111,7 @@ pub(crate) struct PixelFromWorldGradient<T> {
 ///
 /// z += -(g · (J W)_a)/z;  unless clamped, with ∂L/∂s = -(f_a/z) h_z:  a += ∂L/∂s / z, z -= s ∂L/∂s / z;
 /// φ += h × J_a,  J_a = (f_a/z) (e_a - s e_z)
+#[inline]
 pub(crate) fn pixel_from_world_backward<T: Real>(
     view: &View<T>,
     p_cam: [T; 3],
@@ -143,6 +148,7 @@ pub(crate) fn pixel_from_world_backward<T: Real>(
 }
 
 /// a × b.
+#[inline]
 pub(crate) fn cross<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
     [
         a[1] * b[2] - a[2] * b[1],
@@ -152,6 +158,7 @@ pub(crate) fn cross<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
 }
 
 /// M = (J W) R S: column k is the k-th half-axis of the 1-sigma ellipsoid, in pixels (R4).
+#[inline]
 pub(crate) fn half_axes<T: Real>(
     pixel_from_world: &[[T; 3]; 2],
     rotation: &[[T; 3]; 3],
@@ -181,6 +188,7 @@ pub(crate) struct HalfAxesGradient<T> {
 /// The way back through [`half_axes`], from G = ∂L/∂M (R16):
 ///
 /// ∂L/∂(J W) = G S Rᵀ,   ∂L/∂R = (J W)ᵀ G S,   ∂L/∂ ln σₖ = m_k · g_k
+#[inline]
 pub(crate) fn half_axes_backward<T: Real>(
     pixel_from_world: &[[T; 3]; 2],
     rotation: &[[T; 3]; 3],
@@ -208,6 +216,7 @@ pub(crate) fn half_axes_backward<T: Real>(
 ///
 /// The first sum is det M Mᵀ by Cauchy-Binet. Every term is a square, so nothing cancels: for a
 /// needle of 80 x 0.5 px in f32, xx yy - xy² is off by 4e-4, this by 3e-7.
+#[inline]
 pub(crate) fn covariance<T: Real>(m: &[[T; 3]; 2]) -> Covariance2<T> {
     let [u, v] = m;
     let dot = |a: &[T; 3], b: &[T; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -229,6 +238,7 @@ pub(crate) fn covariance<T: Real>(m: &[[T; 3]; 2]) -> Covariance2<T> {
 ///
 /// Σ'xy stands for both entries off the diagonal. det Σ' is a function of the three and passes
 /// nothing back of its own.
+#[inline]
 pub(crate) fn covariance_backward<T: Real>(m: &[[T; 3]; 2], [xx, xy, yy]: [T; 3]) -> [[T; 3]; 2] {
     let [u, v] = m;
     let two = T::from_f64(2.0);

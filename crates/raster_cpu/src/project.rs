@@ -110,6 +110,7 @@ pub(crate) fn project_range<T: Real>(
 }
 
 /// One Gaussian, in the order of the formulas.
+#[inline]
 fn project_one<T: Real>(map: &GaussianMap<T>, i: usize, view: &View<T>) -> Option<Projected<T>> {
     // R1: p = R mean + t, (u, v) = (fx x/z + cx, fy y/z + cy).
     let p_cam = camera_point(view, map.means[i]);
@@ -171,15 +172,27 @@ pub(crate) struct RowGradient<T> {
     pub(crate) log_scale: [T; 3],
     pub(crate) quaternion: [T; 4],
     pub(crate) opacity_logit: T,
-    pub(crate) sh: [[T; 3]; sh::MAX_COEFFICIENTS],
+    /// That of the k-th SH triple is `basis[k] color`.
+    pub(crate) basis: [T; sh::MAX_COEFFICIENTS],
+    pub(crate) color: [T; 3],
     /// Its share of the pose's gradient, (translation, rotation).
     pub(crate) pose: [T; 6],
+}
+
+impl<T: Real> RowGradient<T> {
+    /// Writes the gradients of as many SH triples as `out` holds.
+    pub(crate) fn put_sh(&self, out: &mut [[T; 3]]) {
+        for (out, &basis) in out.iter_mut().zip(&self.basis) {
+            *out = self.color.map(|color| basis * color);
+        }
+    }
 }
 
 /// The way back through [`project_one`] (R15 to R20). `None` where the row was never drawn.
 ///
 /// With p = W mean + t and the pose on its left, exp(ρ, φ): ∂p/∂mean = W, ∂p/∂ρ = 1, φ moves p by
 /// φ × p. The direction of view is Wᵀ p/|p|, which only ρ and the mean turn.
+#[inline]
 pub(crate) fn project_one_backward<T: Real>(
     map: &GaussianMap<T>,
     view: &View<T>,
@@ -224,7 +237,8 @@ pub(crate) fn project_one_backward<T: Real>(
         quaternion: rotation_backward(map.quaternions[i], &d_axes.rotation),
         // 1 - sigmoid(o) = sigmoid(-o), without the difference.
         opacity_logit: d.opacity * splat.opacity * sigmoid(-map.opacity_logits[i]),
-        sh: d_color.sh,
+        basis: d_color.basis,
+        color: d_color.g,
         pose: [
             d_p[0] + across[0],
             d_p[1] + across[1],
@@ -237,12 +251,14 @@ pub(crate) fn project_one_backward<T: Real>(
 }
 
 /// R mean + t, metres.
+#[inline]
 fn camera_point<T: Real>(view: &View<T>, mean: [T; 3]) -> [T; 3] {
     let (r, t) = (&view.rotation, &view.translation);
     [0, 1, 2].map(|i| r[i][0] * mean[0] + r[i][1] * mean[1] + r[i][2] * mean[2] + t[i])
 }
 
 /// 1 / (1 + e⁻ˣ).
+#[inline]
 pub(crate) fn sigmoid<T: Real>(x: T) -> T {
     T::ONE / (T::ONE + (-x).exp())
 }
@@ -251,6 +267,7 @@ pub(crate) fn sigmoid<T: Real>(x: T) -> T {
 ///
 /// The radicand is mid² - det, written so that it does not cancel. The floor of 0.1 px⁴ comes
 /// from the CUDA rasterizer and makes round splats a little wider.
+#[inline]
 fn radius<T: Real>(cov: &Covariance2<T>) -> T {
     let half = T::from_f64(0.5);
     let mid = half * (cov.xx + cov.yy);
@@ -265,6 +282,7 @@ fn radius<T: Real>(cov: &Covariance2<T>) -> T {
 /// Per axis the cells ⌊(m - r)/16⌋ .. ⌊(m + r + 15)/16⌋, the second one excluded. Nothing is
 /// drawn outside, even where alpha would still reach 1/255 (3 sigma cut off up to 1.1 % of an
 /// opaque splat): that is the definition all trained maps are used to.
+#[inline]
 fn footprint<T: Real>(mean_px: [T; 2], radius: T, size: [usize; 2]) -> PixelRect {
     let cell = T::from_f64(FOOTPRINT_CELL_PX as f64);
     let last = T::from_f64((FOOTPRINT_CELL_PX - 1) as f64);
@@ -279,6 +297,7 @@ fn footprint<T: Real>(mean_px: [T; 2], radius: T, size: [usize; 2]) -> PixelRect
 }
 
 /// A coordinate as an index: below 0 and NaN become 0, beyond the range its end.
+#[inline]
 #[allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -289,6 +308,7 @@ pub(crate) fn to_index<T: Real>(x: T) -> usize {
 }
 
 /// A radius as an integer; beyond the range its end.
+#[inline]
 #[allow(clippy::cast_possible_truncation, reason = "`as` saturates")]
 fn saturate<T: Real>(radius: T) -> i32 {
     radius.to_f64() as i32

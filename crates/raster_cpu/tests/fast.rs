@@ -1,5 +1,5 @@
-//! The fast rasterizer is held to the reference: its pictures bit for bit, its gradients to what
-//! f32 can do.
+//! The fast rasterizer is held to the reference: its splats bit for bit, its pictures and
+//! gradients to what f32 can do, pixels at a cut to what the cut can move.
 
 mod common;
 
@@ -11,15 +11,64 @@ use garad_raster::{
 };
 use proptest::prelude::*;
 
-/// Every picture, count, radius and splat of both, for one to three threads.
-fn assert_same_bits(map: &GaussianMap<f32>, camera: &Camera, pose: &Se3, options: &RenderOptions) {
+/// What f32 costs color, depth and transmittance: measured on a reference in f32 against itself
+/// in f64, largest difference by largest value, for 20 000 Gaussians.
+const COST: [f64; 3] = [6.8e-6, 6.6e-6, 7.0e-6];
+/// A splat that one of two pictures leaves out at a cut has at most this weight: alpha T with
+/// T (1 - alpha) = 1e-4 and alpha = 0.99.
+const FLIP: f64 = 0.0101;
+
+/// The same bits for one to three threads; splats and radii those of the reference; pixels that
+/// blend as many splats within 8 times what f32 costs, others within a flip. Returns the fast
+/// picture and how many pixels flip.
+fn assert_same_picture(
+    map: &GaussianMap<f32>,
+    camera: &Camera,
+    pose: &Se3,
+    options: &RenderOptions,
+) -> (Rendered<f32>, usize) {
     let reference = render(map, camera, pose, options, Par::Seq).expect("a picture");
-    for threads in [1, 2, 3] {
-        let ours = fast::render(map, camera, pose, options, Par::new(threads)).expect("a picture");
-        assert!(ours.color == reference.color, "color, {threads} threads");
-        assert!(ours.depth == reference.depth, "depth, {threads} threads");
-        assert!(ours == reference, "the rest, {threads} threads");
+    let ours = fast::render(map, camera, pose, options, Par::Seq).expect("a picture");
+    for threads in [2, 3] {
+        let many = fast::render(map, camera, pose, options, Par::new(threads)).expect("a picture");
+        assert!(many == ours, "{threads} threads");
     }
+    assert_eq!(ours.validate(), Ok(()), "consistent");
+    assert!(ours.projected == reference.projected, "splats");
+    assert!(ours.radii == reference.radii, "radii");
+    let values = |p: &Rendered<f32>, at: (usize, usize)| {
+        let [r, g, b] = p.color[at].map(f64::from);
+        let (depth, t) = (f64::from(p.depth[at]), f64::from(p.transmittance[at]));
+        [(0, r), (0, g), (0, b), (1, depth), (2, t)]
+    };
+    // A weight is multiplied by a colour or a depth; the picture's largest may be smaller.
+    let of_splats = ours.projected.iter().fold([1.0f64; 3], |[c, d, t], s| {
+        let bright = s.color.iter().fold(c, |c, v| c.max(f64::from(*v)));
+        [bright, d.max(f64::from(s.depth_m)), t]
+    });
+    let places = || (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| (x, y)));
+    let mut largest = [0.0f64; 3];
+    for (kind, value) in places().flat_map(|at| values(&reference, at)) {
+        largest[kind] = largest[kind].max(value.abs());
+    }
+    let mut flips = 0;
+    for at in places() {
+        let same = ours.contributors[at] == reference.contributors[at]
+            && ours.last[at] == reference.last[at];
+        flips += usize::from(!same);
+        for ((kind, a), (_, b)) in values(&ours, at).into_iter().zip(values(&reference, at)) {
+            let allowed = if same {
+                8.0 * COST[kind] * largest[kind]
+            } else {
+                FLIP * of_splats[kind]
+            };
+            assert!(
+                (a - b).abs() <= allowed,
+                "{at:?}: {a} against {b}, picture {kind}, as many splats: {same}"
+            );
+        }
+    }
+    (ours, flips)
 }
 
 proptest! {
@@ -38,7 +87,9 @@ proptest! {
         let camera = Camera { width: size.0, height: size.1, ..camera() };
         let include = [Include::All, Include::StaticOnly, Include::DynamicOnly][which];
         let options = RenderOptions { background, include, tile_px, ..RenderOptions::default() };
-        assert_same_bits(&map, &camera, &pose(), &options);
+        let (_, flips) = assert_same_picture(&map, &camera, &pose(), &options);
+        // 1 in 200, and a few in pictures of a few pixels.
+        prop_assert!(flips * 200 <= size.0 * size.1 + 400, "{flips} pixels at a cut");
     }
 }
 
@@ -59,15 +110,7 @@ fn ball(z: f32, sigma_m: f32, opacity: f32) -> NewGaussian<f32> {
 fn fast_is_the_reference_on_the_cuts() {
     let camera = Camera::pinhole((41, 37), [30.0, 30.0, 20.3, 18.2]).expect("valid");
     let draw = |map: &GaussianMap<f32>| {
-        assert_same_bits(map, &camera, &Se3::default(), &RenderOptions::default());
-        fast::render(
-            map,
-            &camera,
-            &Se3::default(),
-            &RenderOptions::default(),
-            Par::Seq,
-        )
-        .expect("a picture")
+        assert_same_picture(map, &camera, &Se3::default(), &RenderOptions::default())
     };
     let near = |x: f32| {
         [-64i32, -8, 0, 8, 64].map(|step| f32::from_bits(x.to_bits().wrapping_add_signed(step)))
@@ -77,9 +120,15 @@ fn fast_is_the_reference_on_the_cuts() {
         let mut map = GaussianMap::new(0);
         map.push(&ball(2.0, 30.0, opacity));
         map.push(&ball(3.0, 0.2, opacity));
-        counts.push(draw(&map).contributors.data().iter().sum::<u32>());
+        let (picture, flips) = draw(&map);
+        counts.push((picture.contributors.data().iter().sum::<u32>(), flips));
     }
-    assert!(counts[0] < counts[4], "the cut is crossed: {counts:?}");
+    assert!(counts[0].0 < counts[4].0, "the cut is crossed: {counts:?}");
+    let sure = [0, 4, 5, 9].map(|k| counts[k].1);
+    assert!(
+        sure.iter().all(|&flips| flips < 8),
+        "64 ulp off: {counts:?}"
+    );
     for z in near(0.2) {
         let mut map = GaussianMap::new(0);
         map.push(&ball(z, 0.01, 0.5));
@@ -93,7 +142,7 @@ fn fast_is_the_reference_on_the_cuts() {
             0.05 + 0.02 * f32::from(k),
         ));
     }
-    let last = draw(&wall);
+    let (last, _) = draw(&wall);
     assert!(
         last.transmittance.data().iter().any(|&t| t < 2e-4),
         "some pixels are finished"
@@ -139,7 +188,8 @@ fn fast_is_the_reference_in_a_crowd() {
     for i in (0..3996).step_by(4) {
         map.means[i + 1] = map.means[i];
     }
-    assert_same_bits(&map, &camera(), &pose(), &RenderOptions::default());
+    let (_, flips) = assert_same_picture(&map, &camera(), &pose(), &RenderOptions::default());
+    assert!(flips < 35, "{flips} of 3500 pixels at a cut");
 }
 
 fn upstream(seed: u64, camera: &Camera) -> Upstream<f64> {
@@ -217,15 +267,19 @@ fn fast_gradients_are_those_of_the_reference() {
         let (wide_map, mut up) = (map(seed, 150), upstream(seed, &camera));
         let map = wide_map.cast::<f32>();
         let picture = fast::render(&map, &camera, &pose, &options, Par::Seq).expect("a picture");
+        let like = render(&map, &camera, &pose, &options, Par::Seq).expect("a picture");
         let wide_map = map.cast::<f64>();
         let wide = render(&wide_map, &camera, &pose, &options, Par::Seq).expect("a picture");
         let mut lost = 0;
         for y in 0..camera.height {
             for x in 0..camera.width {
                 let at = (x, y);
-                if picture.contributors[at] != wide.contributors[at]
-                    || picture.last[at] != wide.last[at]
-                {
+                let met = [
+                    (picture.contributors[at], picture.last[at]),
+                    (like.contributors[at], like.last[at]),
+                    (wide.contributors[at], wide.last[at]),
+                ];
+                if met[0] != met[1] || met[0] != met[2] {
                     lost += 1;
                     up.color[at] = [0.0; 3];
                     up.depth.as_mut().expect("given")[at] = 0.0;
@@ -245,8 +299,8 @@ fn fast_gradients_are_those_of_the_reference() {
         };
         let ours = fast::backward(&map, &camera, &pose, &options, &picture, &narrow, Par::Seq)
             .expect("gradients");
-        let same = backward(&map, &camera, &pose, &options, &picture, &narrow, Par::Seq)
-            .expect("gradients");
+        let same =
+            backward(&map, &camera, &pose, &options, &like, &narrow, Par::Seq).expect("gradients");
         let exact =
             backward(&wide_map, &camera, &pose, &options, &wide, &up, Par::Seq).expect("gradients");
         for (name, distance) in distances(&ours, &same) {

@@ -1,73 +1,145 @@
 //! One tile on the way back, eight pixels at a time (R13, R14), and the sums of its splats.
 
 use garad_core::Real;
-use wide::f32x8;
+use wide::{f32x4, f32x8};
 
-use super::forward::{BLOCKS, corner, density, distances};
+use super::forward::{BLOCKS, Seen};
 use super::lanes::sums;
 use super::splat::Splat;
 use crate::backward::ClampGradient;
-use crate::composite::{MAX_ALPHA, MIN_ALPHA, PixelBackward, SplatSums};
+use crate::composite::{MAX_ALPHA, MIN_ALPHA, SplatSums};
 
-/// The pixels of a tile on the way back: [`PixelBackward`], field by field.
+/// Gradients from above are not multiplied by zeros beyond this size, lest 0 · ∞ reach splats
+/// that the pixel has not met.
+const CALM: f32 = 1e15;
+
+/// [`SplatSums`] in three vectors: (g, r, y, rr), (ry, yy, red, green), (blue, depth, 0, 0).
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Sums([f32x4; 3]);
+
+impl Sums {
+    /// Adds another tile's or row of tiles'.
+    #[inline(always)]
+    pub(crate) fn add(&mut self, other: &Self) {
+        for (sum, part) in self.0.iter_mut().zip(other.0) {
+            *sum += part;
+        }
+    }
+
+    /// No pixel has met the splat.
+    pub(crate) fn are_zero(&self) -> bool {
+        self.0
+            .iter()
+            .all(|v| v.to_array().iter().all(|v| v.abs() <= 0.0))
+    }
+
+    /// Named.
+    pub(crate) fn named(&self) -> SplatSums<f32> {
+        let [[g, r, y, rr], [ry, yy, red, green], [blue, depth, ..]] = self.0.map(|v| v.to_array());
+        SplatSums {
+            g,
+            r,
+            y,
+            rr,
+            ry,
+            yy,
+            color: [red, green, blue],
+            depth,
+        }
+    }
+}
+
+/// Eight pixels on the way back: [`crate::composite::PixelBackward`], field by field.
+#[derive(Debug, Clone, Copy)]
+struct Block {
+    d_color: [f32x8; 3],
+    d_depth: f32x8,
+    transmittance: f32x8,
+    behind: f32x8,
+    /// Rank of the last splat blended, exact below 2²⁴.
+    last: f32x8,
+}
+
+impl Block {
+    /// No splat has been met.
+    const EMPTY: Self = Self {
+        d_color: [f32x8::ZERO; 3],
+        d_depth: f32x8::ZERO,
+        transmittance: f32x8::ZERO,
+        behind: f32x8::ZERO,
+        last: f32x8::ZERO,
+    };
+}
+
+/// The pixels of a tile on the way back.
 #[derive(Debug)]
 pub(crate) struct TileBackward {
-    d_color: [[f32x8; 3]; BLOCKS],
-    d_depth: [f32x8; BLOCKS],
-    transmittance: [f32x8; BLOCKS],
-    behind: [f32x8; BLOCKS],
-    /// Rank of the last splat blended, exact below 2²⁴.
-    last: [f32x8; BLOCKS],
-    /// The largest of them per block.
+    blocks: [Block; BLOCKS],
+    /// The largest [`Block::last`] per block.
     deepest: [u32; BLOCKS],
+    /// No gradient from above is large or no number.
+    calm: bool,
+}
+
+/// Rows of pictures that a tile starts from.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Rows<'a> {
+    pub(crate) d_color: &'a [[f32; 3]],
+    pub(crate) d_depth: Option<&'a [f32]>,
+    pub(crate) d_opacity: Option<&'a [f32]>,
+    pub(crate) transmittance: &'a [f32],
+    pub(crate) last: &'a [u32],
+    pub(crate) background: [f32; 3],
 }
 
 impl TileBackward {
-    /// Takes each pixel of the tile, in columns and rows from its corner, from `pixel`; those
-    /// beyond `width` x `height` have met no splat.
-    pub(crate) fn new(
-        [width, height]: [usize; 2],
-        pixel: impl Fn(usize, usize) -> PixelBackward<f32>,
-    ) -> Self {
-        let mut tile = Self {
-            d_color: [[f32x8::ZERO; 3]; BLOCKS],
-            d_depth: [f32x8::ZERO; BLOCKS],
-            transmittance: [f32x8::ZERO; BLOCKS],
-            behind: [f32x8::ZERO; BLOCKS],
-            last: [f32x8::ZERO; BLOCKS],
-            deepest: [0; BLOCKS],
-        };
-        for i in 0..BLOCKS {
-            let (x, y) = corner(i);
-            let mut lanes = [[0.0f32; 8]; 7];
-            for lane in 0..8 {
-                let (x, y) = (x + lane % 4, y + lane / 4);
-                if x >= width || y >= height {
-                    continue;
-                }
-                let p = pixel(x, y);
+    /// Takes the pixels of the tile row by row from `rows`, whose slices begin at the tile's
+    /// first column; pixels they do not have have met no splat. What each starts with:
+    /// [`crate::backward::pixel`].
+    pub(crate) fn new<'a>(rows: impl Iterator<Item = Rows<'a>>) -> Self {
+        // d_color, d_depth, transmittance, behind, last.
+        let mut lanes = [[[0.0f32; 8]; 7]; BLOCKS];
+        let mut deepest = [0; BLOCKS];
+        let mut calm = true;
+        for (y, row) in rows.enumerate().take(16) {
+            let [red, green, blue] = row.background;
+            let pixels = row.d_color.iter().zip(row.transmittance).zip(row.last);
+            for (x, ((d, &transmittance), &last)) in pixels.enumerate().take(16) {
+                let block = x / 4 * 8 + y / 2;
+                let lane = y % 2 * 4 + x % 4;
+                let d_depth = row.d_depth.map_or(0.0, |d| d[x]);
+                let behind =
+                    d[0] * red + d[1] * green + d[2] * blue - row.d_opacity.map_or(0.0, |d| d[x]);
                 let values = [
-                    p.d_color[0],
-                    p.d_color[1],
-                    p.d_color[2],
-                    p.d_depth,
-                    p.transmittance,
-                    p.behind,
-                    p.last as f32,
+                    d[0],
+                    d[1],
+                    d[2],
+                    d_depth,
+                    transmittance,
+                    behind,
+                    last as f32,
                 ];
-                for (lanes, value) in lanes.iter_mut().zip(values) {
+                let size = values.iter().fold(0.0, |sum, v| sum + v.abs());
+                calm &= size < CALM;
+                for (lanes, value) in lanes[block].iter_mut().zip(values) {
                     lanes[lane] = value;
                 }
-                tile.deepest[i] = tile.deepest[i].max(p.last);
+                deepest[block] = deepest[block].max(last);
             }
-            let [r, g, b, depth, transmittance, behind, last] = lanes.map(f32x8::new);
-            tile.d_color[i] = [r, g, b];
-            tile.d_depth[i] = depth;
-            tile.transmittance[i] = transmittance;
-            tile.behind[i] = behind;
-            tile.last[i] = last;
         }
-        tile
+        let mut blocks = [Block::EMPTY; BLOCKS];
+        for (block, lanes) in blocks.iter_mut().zip(&lanes) {
+            block.d_color = [lanes[0], lanes[1], lanes[2]].map(f32x8::new);
+            block.d_depth = f32x8::new(lanes[3]);
+            block.transmittance = f32x8::new(lanes[4]);
+            block.behind = f32x8::new(lanes[5]);
+            block.last = f32x8::new(lanes[6]);
+        }
+        Self {
+            blocks,
+            deepest,
+            calm,
+        }
     }
 
     /// The way back through [`super::forward::TilePixels::composite`]: hands the number of each
@@ -77,33 +149,58 @@ impl TileBackward {
     /// Each lane sums its own pixels in the order of blocks; eight lanes become one by
     /// [`sums`].
     pub(crate) fn take_back<'a>(
+        self,
+        entries: usize,
+        splat_of: impl Fn(usize) -> &'a Splat,
+        corner: [f32; 2],
+        clamp: ClampGradient,
+        put: impl FnMut(usize, &Sums),
+    ) {
+        match (self.calm, clamp) {
+            (true, ClampGradient::True) => {
+                self.walk::<true, true>(entries, splat_of, corner, put);
+            }
+            (true, ClampGradient::PassThrough) => {
+                self.walk::<true, false>(entries, splat_of, corner, put);
+            }
+            (false, ClampGradient::True) => {
+                self.walk::<false, true>(entries, splat_of, corner, put);
+            }
+            (false, ClampGradient::PassThrough) => {
+                self.walk::<false, false>(entries, splat_of, corner, put);
+            }
+        }
+    }
+
+    fn walk<'a, const CALM: bool, const CLAMP: bool>(
         mut self,
         entries: usize,
         splat_of: impl Fn(usize) -> &'a Splat,
-        [x, y]: [f32; 2],
-        clamp: ClampGradient,
-        mut put: impl FnMut(usize, &SplatSums<f32>),
+        corner: [f32; 2],
+        mut put: impl FnMut(usize, &Sums),
     ) {
+        // A pixel that does not take has weight 0; what is not calm is masked once more.
+        let only = |mask: f32x8, value: f32x8| if CALM { value } else { mask & value };
         let [min_alpha, max_alpha] = [MIN_ALPHA, MAX_ALPHA].map(|v| f32x8::splat(f32::from_f64(v)));
         // Blocks ordered by where their way back begins; those that have begun.
-        let mut waiting: Vec<(usize, u32)> = (0..BLOCKS)
-            .map(|i| (self.deepest[i] as usize, 1u32 << i))
-            .collect();
+        let mut waiting = [(0, 0); BLOCKS];
+        for (i, waiting) in waiting.iter_mut().enumerate() {
+            *waiting = (self.deepest[i] as usize, 1u32 << i);
+        }
         waiting.sort_unstable();
-        let deepest = waiting.last().map_or(0, |w| w.0).min(entries);
+        let mut waiting = waiting.iter().rev().peekable();
+        let deepest = waiting.peek().map_or(0, |w| w.0).min(entries);
         let mut begun = 0u32;
         for entry in (0..deepest).rev() {
-            while let Some(&(rank, bit)) = waiting.last()
-                && rank > entry
-            {
+            while let Some(&(_, bit)) = waiting.next_if(|w| w.0 > entry) {
                 begun |= bit;
-                waiting.pop();
             }
             let splat = splat_of(entry);
-            let mut reach = splat.reach(x, y) & begun;
+            let mut reach = splat.reach(corner) & begun;
             if reach == 0 {
                 continue;
             }
+            let seen = Seen::new(splat, corner);
             let rank = f32x8::splat(entry as f32);
             let color = splat.color.map(f32x8::splat);
             let depth = f32x8::splat(splat.depth_m);
@@ -111,31 +208,29 @@ impl TileBackward {
             while reach != 0 {
                 let i = reach.trailing_zeros() as usize % BLOCKS;
                 reach &= reach - 1;
-                let [dx, dy] = distances(splat, [x, y], i);
-                let density = density(splat, dx, dy);
+                let block = &mut self.blocks[i];
+                let (density, r, dy) = seen.density(i);
                 let alpha = max_alpha.fast_min(density);
-                let take = alpha.simd_ge(min_alpha) & self.last[i].simd_gt(rank);
-                let through = f32x8::ONE - alpha;
-                let reached = self.transmittance[i] / through;
+                let take = alpha.simd_ge(min_alpha) & block.last.simd_gt(rank);
+                let alpha = alpha & take;
+                let reached = block.transmittance / (f32x8::ONE - alpha);
                 let weight = alpha * reached;
-                let (d_color, d_depth) = (self.d_color[i], self.d_depth[i]);
-                let mut own = d_depth * depth;
+                block.transmittance = reached;
+                let mut own = block.d_depth * depth;
                 for channel in 0..3 {
-                    own += d_color[channel] * color[channel];
-                    // Products are masked, not weights: a NaN stays in its pixel.
-                    sum[6 + channel] += (weight * d_color[channel]) & take;
+                    own += block.d_color[channel] * color[channel];
+                    sum[6 + channel] += only(take, weight * block.d_color[channel]);
                 }
-                sum[9] += (weight * d_depth) & take;
-                let behind = self.behind[i];
-                let d_alpha = reached * (own - behind);
-                self.behind[i] = take.bitselect(alpha * own + through * behind, behind);
-                self.transmittance[i] = take.bitselect(reached, self.transmittance[i]);
-                let felt = match clamp {
-                    ClampGradient::True => take & density.simd_le(max_alpha),
-                    ClampGradient::PassThrough => take,
+                sum[9] += only(take, weight * block.d_depth);
+                let more = own - block.behind;
+                block.behind += only(take, alpha * more);
+                // density = alpha but where alpha is clamped.
+                let g = if CLAMP {
+                    (weight & density.simd_le(max_alpha)) * more
+                } else {
+                    (density & take) * reached * more
                 };
-                let g = (density * d_alpha) & felt;
-                let r = dx + f32x8::splat(splat.shear) * dy;
+                let g = only(take, g);
                 let (gr, gy) = (g * r, g * dy);
                 sum[0] += g;
                 sum[1] += gr;
@@ -144,19 +239,11 @@ impl TileBackward {
                 sum[4] += gr * dy;
                 sum[5] += gy * dy;
             }
-            let [g, r, y, rr] = sums([sum[0], sum[1], sum[2], sum[3]]);
-            let [ry, yy, red, green] = sums([sum[4], sum[5], sum[6], sum[7]]);
-            let [blue, depth, ..] = sums([sum[8], sum[9], f32x8::ZERO, f32x8::ZERO]);
-            let total = SplatSums {
-                g,
-                r,
-                y,
-                rr,
-                ry,
-                yy,
-                color: [red, green, blue],
-                depth,
-            };
+            let total = Sums([
+                sums([sum[0], sum[1], sum[2], sum[3]]),
+                sums([sum[4], sum[5], sum[6], sum[7]]),
+                sums([sum[8], sum[9], f32x8::ZERO, f32x8::ZERO]),
+            ]);
             put(entry, &total);
         }
     }

@@ -2,26 +2,30 @@
 
 use garad_core::{GaussianMap, Par};
 
+use super::backward::Sums;
 use super::bin::Bands;
 use super::splat::Splat;
 use crate::backward::{ClampGradient, Gradients};
-use crate::composite::{SplatGradient, SplatSums};
+use crate::composite::SplatGradient;
+use crate::covariance::rotation;
 use crate::error::RasterError;
 use crate::project::{Projected, project_one_backward};
 use crate::view::View;
 
 /// Splats or Gaussians of one task.
 const CHUNK: usize = 512;
+/// Splats fetched together.
+const BATCH: usize = 64;
 
 /// Adds up each splat's sums over the bands, upper band first. `of_band[b]` runs beside
 /// `bands.list(b)`.
 pub(crate) fn over_bands(
     splats: &[Splat],
     bands: &Bands,
-    of_band: &[Vec<SplatSums<f32>>],
+    of_band: &[Vec<Sums>],
     par: Par,
-) -> Vec<SplatSums<f32>> {
-    let mut total = vec![SplatSums::new(); splats.len()];
+) -> Vec<Sums> {
+    let mut total = vec![Sums::default(); splats.len()];
     par.for_each_chunk_mut(&mut total, CHUNK, |chunk, total| {
         let first = chunk * CHUNK;
         // Lists are ascending: a chunk's splats stand together in each.
@@ -72,7 +76,7 @@ pub(crate) fn to_map(
     map: &GaussianMap<f32>,
     view: &View<f32>,
     projected: &[Projected<f32>],
-    sums: &[SplatSums<f32>],
+    sums: &[Sums],
     clamp: ClampGradient,
     par: Par,
 ) -> Result<Gradients<f32>, RasterError> {
@@ -85,11 +89,16 @@ pub(crate) fn to_map(
     let mut runs = Rows::cut(&mut gradients, map.coefficients());
     par.for_each_chunk_mut(&mut runs, 1, |_, runs| {
         for run in runs {
-            for k in 0..run.means.len() {
-                let position = splat_of[run.first + k];
-                if position != NOBODY {
-                    let at = position as usize;
-                    run.put(k, map, view, (at, &projected[at]), &sums[at], clamp);
+            let mut met = Vec::with_capacity(BATCH);
+            for first in (0..run.means.len()).step_by(BATCH) {
+                // Copied first, in a loop that waits for many splats at a time.
+                let rows = first..(first + BATCH).min(run.means.len());
+                met.extend(rows.filter_map(|k| {
+                    let at = splat_of[run.first + k];
+                    (at != NOBODY).then(|| (k, at, projected[at as usize], sums[at as usize]))
+                }));
+                for (k, at, splat, sums) in met.drain(..) {
+                    run.put(k, map, view, (at as usize, &splat), &sums, clamp);
                 }
             }
         }
@@ -151,12 +160,21 @@ impl<'a> Rows<'a> {
         map: &GaussianMap<f32>,
         view: &View<f32>,
         (position, splat): (usize, &Projected<f32>),
-        sums: &SplatSums<f32>,
+        sums: &Sums,
         clamp: ClampGradient,
     ) {
-        let d = SplatGradient::new(splat, sums);
-        let Some(row) = project_one_backward(map, view, splat, &d, clamp) else {
+        let row = if sums.are_zero() {
+            // No pixel has met it, and the row is zero already.
+            rotation(map.quaternions[splat.index as usize]).map(|_| None)
+        } else {
+            let d = SplatGradient::new(splat, &sums.named());
+            project_one_backward(map, view, splat, &d, clamp).map(|row| Some((d, row)))
+        };
+        let Some(row) = row else {
             self.bad = [self.bad, Some(position)].into_iter().flatten().min();
+            return;
+        };
+        let Some((d, row)) = row else {
             return;
         };
         let n = self.sh.len() / self.means.len();
@@ -164,7 +182,7 @@ impl<'a> Rows<'a> {
         self.log_scales[k] = row.log_scale;
         self.quaternions[k] = row.quaternion;
         self.opacity_logits[k] = row.opacity_logit;
-        self.sh[k * n..(k + 1) * n].copy_from_slice(&row.sh[..n]);
+        row.put_sh(&mut self.sh[k * n..(k + 1) * n]);
         self.means2d[k] = d.mean_px;
         self.conics[k] = d.conic;
         self.opacities[k] = d.opacity;

@@ -8,20 +8,25 @@ use crate::project::{FOOTPRINT_CELL_PX, Projected};
 /// Splats prepared by one task.
 const CHUNK: usize = 2048;
 
+/// -½ log₂e.
+const HALF_LOG2_E: f32 = -0.5 * std::f32::consts::LOG2_E;
+
 /// What the pixels read of a [`Projected`], in one cache line.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
+#[repr(align(64))]
 pub(crate) struct Splat {
     pub(crate) mean_px: [f32; 2],
-    /// a of the conic.
-    pub(crate) a: f32,
+    /// b/a of the conic.
     pub(crate) shear: f32,
-    pub(crate) inv_var_y: f32,
+    /// -½ log₂e a and -½ log₂e/Σ'yy: log₂ e^power = along (dx + (b/a) dy)² + across dy².
+    pub(crate) along: f32,
+    pub(crate) across: f32,
     pub(crate) opacity: f32,
     pub(crate) color: [f32; 3],
     pub(crate) depth_m: f32,
-    /// k of R12, enlarged: alpha ≥ 1/255 only where a (dx + (b/a) dy)² + dy²/Σ'yy ≤ k.
+    /// ½ log₂e k with the k of R12, enlarged: alpha ≥ 1/255 only where log₂ e^power ≥ -k.
     k: f32,
-    /// 1/a.
+    /// -1/`along`.
     var_along: f32,
     /// Half the sides of the rectangle about the ellipse, enlarged; -∞ for an empty one.
     half_px: [f32; 2],
@@ -30,7 +35,7 @@ pub(crate) struct Splat {
 }
 
 impl Splat {
-    fn new(splat: &Projected<f32>) -> Self {
+    pub(crate) fn new(splat: &Projected<f32>) -> Self {
         // Numbers that bound the work and not the picture: 1 % and a tenth of a pixel are far
         // more than rounding can move.
         let k = 2.02 * Real::ln(255.0 * splat.opacity) + 0.02;
@@ -46,14 +51,14 @@ impl Splat {
         let cell = |cells: usize| u16::try_from(cells).unwrap_or(u16::MAX);
         Self {
             mean_px: splat.mean_px,
-            a: splat.conic[0],
             shear: splat.shear,
-            inv_var_y: splat.inv_var_y,
+            along: HALF_LOG2_E * splat.conic[0],
+            across: HALF_LOG2_E * splat.inv_var_y,
             opacity: splat.opacity,
             color: splat.color,
             depth_m: splat.depth_m,
-            k,
-            var_along: 1.0 / splat.conic[0],
+            k: -HALF_LOG2_E * k,
+            var_along: -1.0 / (HALF_LOG2_E * splat.conic[0]),
             half_px: [half(0), half(1)],
             cells: [
                 cell(f.x0 / FOOTPRINT_CELL_PX),
@@ -70,7 +75,7 @@ impl Splat {
     /// R12 solved for the columns of each row. A block that is left out would have failed the
     /// test against 1/255 in every pixel, so this changes the time and nothing else.
     #[inline(always)]
-    pub(crate) fn reach(&self, x: f32, y: f32) -> u32 {
+    pub(crate) fn reach(&self, [x, y]: [f32; 2]) -> u32 {
         let ([u, v], [half_u, half_v], side) = (self.mean_px, self.half_px, 15.0);
         if u + half_u < x || u - half_u > x + side || v + half_v < y || v - half_v > y + side {
             return 0;
@@ -79,7 +84,7 @@ impl Splat {
         let of_rows = |first: f32| {
             let steps = f32x8::new([0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 14.0]);
             let dy = (f32x8::splat(first) + steps) - f32x8::splat(v);
-            let rest = f32x8::splat(self.k) - f32x8::splat(self.inv_var_y) * dy * dy;
+            let rest = f32x8::splat(self.k) + f32x8::splat(self.across) * dy * dy;
             // A positive floor: 0 times an infinite variance would be no number.
             let square = rest.fast_max(f32x8::splat(1e-30)) * f32x8::splat(self.var_along);
             let lean = f32x8::splat(self.shear) * dy;
@@ -108,8 +113,11 @@ fn margin(coordinate: f32) -> f32 {
 
 /// All splats, in their order.
 pub(crate) fn prepare(projected: &[Projected<f32>], par: Par) -> Vec<Splat> {
-    par.map_chunks(projected.len(), CHUNK, |range| {
-        projected[range].iter().map(Splat::new).collect::<Vec<_>>()
-    })
-    .concat()
+    let mut splats = vec![Splat::default(); projected.len()];
+    par.for_each_chunk_mut(&mut splats, CHUNK, |chunk, splats| {
+        for (splat, projected) in splats.iter_mut().zip(&projected[chunk * CHUNK..]) {
+            *splat = Splat::new(projected);
+        }
+    });
+    splats
 }
