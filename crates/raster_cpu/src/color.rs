@@ -4,7 +4,7 @@ use garad_core::{GaussianMap, Real, sh};
 
 /// max(0, ½ + Σₖ Yₖ(d) fₖ), d = (mean - c) / |mean - c|, c the camera's centre (R7).
 ///
-/// `None` when a coefficient is not finite. A mean on the centre itself has no direction; the
+/// `None` when a coefficient or the square of a colour is not finite. A mean on the centre itself has no direction; the
 /// near plane has removed it before.
 #[inline]
 pub(crate) fn color<T: Real>(map: &GaussianMap<T>, i: usize, center: [T; 3]) -> Option<[T; 3]> {
@@ -14,7 +14,8 @@ pub(crate) fn color<T: Real>(map: &GaussianMap<T>, i: usize, center: [T; 3]) -> 
     }
     let (direction, _) = direction(map.means[i], center);
     let rgb = sh::color(map.sh_degree(), coefficients, direction);
-    rgb.iter().all(|v| v.is_finite()).then_some(rgb)
+    // A finite square leaves room for every product on the way back.
+    rgb.iter().all(|v| (*v * *v).is_finite()).then_some(rgb)
 }
 
 /// d and the distance |mean - c|, metres.

@@ -50,7 +50,8 @@ impl PixelRect {
 ///
 /// A Gaussian is invisible, and never an error, when its label is not asked for, when its
 /// z ≤ 0.2 m, when its footprint misses the picture, when one of its numbers is not finite, when
-/// its quaternion has no direction, or when its projection overflows.
+/// its quaternion has no direction, or when its projection or the square of its depth or colour
+/// overflows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Projected<T> {
     /// Row in the map.
@@ -115,7 +116,8 @@ fn project_one<T: Real>(map: &GaussianMap<T>, i: usize, view: &View<T>) -> Optio
     // R1: p = R mean + t, (u, v) = (fx x/z + cx, fy y/z + cy).
     let p_cam = camera_point(view, map.means[i]);
     let [x, y, z] = p_cam;
-    if !z.is_finite() || z <= T::from_f64(NEAR_M) {
+    // A finite square leaves room for every product on the way back.
+    if !(z * z).is_finite() || z <= T::from_f64(NEAR_M) {
         return None;
     }
     let mean_px = [
