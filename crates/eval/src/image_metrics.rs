@@ -2,7 +2,9 @@
 //!
 //! Everything is computed in f64, whatever the pixels are. Where a mask is given, pixels that
 //! are not 0 in it (moving or unknown) neither count nor leak: SSIM's windows reach over the
-//! edge of the mask, so inside it the render is first replaced by the recorded picture.
+//! edge of the mask, so inside it the render is first replaced by the recorded picture. A masked
+//! SSIM is therefore the mean over the static pixels alone; those within 5 px of the mask have
+//! windows that are partly right by construction, so narrow gaps between masks score kindly.
 
 use garad_core::{Image, MaskImage, Par, Real};
 
@@ -99,6 +101,9 @@ fn psnr_of_checked<A: Pixel, B: Pixel>(
 }
 
 /// Mean of [`ssim_map`] over the judged pixels and channels.
+///
+/// With a mask the render is replaced by the recorded picture inside it before windows are taken,
+/// and the mean is over the pixels outside.
 ///
 /// # Errors
 /// As [`psnr_db`].

@@ -1,8 +1,9 @@
-//! Moving or static: precision, recall, F1 and IoU.
+//! Moving or static: precision, recall, F1 and IoU, frame by frame and over a run.
 
 use garad_core::MaskImage;
 
 use crate::EvalError;
+use crate::metrics::{KeypointLabels, LabelMetrics, PixelLabels};
 
 /// Counts of decisions; *positive* means moving.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -49,6 +50,38 @@ impl Confusion {
             }
         }
         Ok(counts)
+    }
+
+    /// Counts labelled keypoints by the pixel of the true mask that each lies in.
+    ///
+    /// (x, y) lies in the pixel whose centre is nearest: pixel 3 spans [2.5, 3.5). Keypoints
+    /// outside the picture, not finite, or on a pixel of unknown truth are left out. The mask is
+    /// of the picture the keypoints were found in: both distorted, or neither.
+    ///
+    /// # Example
+    /// ```
+    /// use garad_core::Image;
+    /// use garad_eval::Confusion;
+    /// let truth = Image::from_vec(3, 1, vec![0u8, 255, 128]).expect("three pixels");
+    /// let keypoints = [([0.4, 0.0], true), ([0.6, 0.0], true), ([2.0, 0.0], false)];
+    /// let counts = Confusion::of_keypoints(keypoints, &truth);
+    /// assert_eq!((counts.false_positives, counts.true_positives, counts.total()), (1, 1, 2));
+    /// ```
+    #[must_use]
+    pub fn of_keypoints(
+        called_moving: impl IntoIterator<Item = ([f64; 2], bool)>,
+        truth: &MaskImage,
+    ) -> Self {
+        let mut counts = Self::default();
+        for ([x, y], moving) in called_moving {
+            let at = pixel(x, truth.width()).zip(pixel(y, truth.height()));
+            match at.map(|at| truth[at]) {
+                Some(0) => counts.add(moving, false),
+                Some(255) => counts.add(moving, true),
+                _ => {}
+            }
+        }
+        counts
     }
 
     /// Decisions counted.
@@ -100,6 +133,68 @@ impl std::ops::AddAssign for Confusion {
     }
 }
 
+/// The pixel of 0..n that a coordinate lies in; `None` outside, and for NaN.
+fn pixel(x: f64, n: usize) -> Option<usize> {
+    let nearest = (x + 0.5).floor();
+    #[allow(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "compared with the range of pixels first"
+    )]
+    (nearest >= 0.0 && nearest < n as f64).then_some(nearest as usize)
+}
+
+/// Counts of one frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameLabels {
+    /// Time of the frame, seconds.
+    pub t_s: f64,
+    /// Labels of keypoints; `None` where the frame has none to judge, as when it was not tracked.
+    pub keypoints: Option<Confusion>,
+    /// A rendered mask; `None` where none was rendered.
+    pub pixels: Option<Confusion>,
+}
+
+/// Counts of every judged frame of a run, in order.
+///
+/// Figures over the run are of the summed counts: a frame counts by its decisions, and frames in
+/// which nothing moves count by their false alarms. A mean of the frames' own figures would have to
+/// leave those out.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct RunLabels {
+    /// Frame by frame.
+    pub frames: Vec<FrameLabels>,
+}
+
+impl RunLabels {
+    /// Keypoints of all frames.
+    #[must_use]
+    pub fn keypoints(&self) -> Confusion {
+        sum(self.frames.iter().filter_map(|frame| frame.keypoints))
+    }
+
+    /// Pixels of all frames.
+    #[must_use]
+    pub fn pixels(&self) -> Confusion {
+        sum(self.frames.iter().filter_map(|frame| frame.pixels))
+    }
+
+    /// The figures of `metrics.json`; `None` in them where nothing could be judged.
+    #[must_use]
+    pub fn metrics(&self) -> LabelMetrics {
+        LabelMetrics {
+            keypoints: KeypointLabels::from(&self.keypoints()),
+            pixels: PixelLabels::from(&self.pixels()),
+        }
+    }
+}
+
+fn sum(counts: impl Iterator<Item = Confusion>) -> Confusion {
+    let mut total = Confusion::default();
+    counts.for_each(|frame| total += frame);
+    total
+}
+
 fn ratio(part: u64, whole: u64) -> Option<f64> {
     (whole > 0).then(|| part as f64 / whole as f64)
 }
@@ -138,6 +233,79 @@ mod tests {
         twice += counts;
         assert_eq!(twice.total(), 14, "sums");
         assert_eq!(twice.f1(), counts.f1(), "ratios keep");
+    }
+
+    #[test]
+    fn keypoints_take_the_nearest_pixel() {
+        let truth = Image::from_vec(3, 2, vec![0, 255, 128, 255, 0, 255]).expect("6 pixels");
+        let count = |x: f64, y: f64| Confusion::of_keypoints([([x, y], true)], &truth);
+        let (moving, fixed) = ((1, 0), (0, 1));
+        for (x, y, expected) in [
+            (0.0, 0.0, fixed),
+            (0.49, -0.5, fixed),
+            (0.5, 0.0, moving),
+            (0.0, 0.5, moving),
+            (2.49, 1.49, moving),
+            (1.2, 0.8, fixed),
+        ] {
+            let counts = count(x, y);
+            let got = (counts.true_positives, counts.false_positives);
+            assert_eq!(got, expected, "({x}, {y})");
+        }
+        for (x, y) in [
+            (2.0, 0.0), // unknown
+            (-0.51, 0.0),
+            (2.5, 1.0),
+            (0.0, 1.5),
+            (f64::NAN, 0.0),
+            (0.0, f64::INFINITY),
+            (0.0, -1e300),
+        ] {
+            assert_eq!(count(x, y).total(), 0, "({x}, {y})");
+        }
+        let calm = Confusion::of_keypoints([([1.0, 0.0], false), ([0.0, 0.0], false)], &truth);
+        assert_eq!((calm.false_negatives, calm.true_negatives), (1, 1), "calm");
+        let nothing = Confusion::of_keypoints([([0.0, 0.0], true)], &Image::new(0, 0, 0));
+        assert_eq!(nothing.total(), 0, "no picture");
+    }
+
+    /// Counts are summed, not figures averaged.
+    #[test]
+    fn a_run_is_the_sum_of_its_frames() {
+        let counts = |[tp, fp, fn_, tn]: [u64; 4]| Confusion {
+            true_positives: tp,
+            false_positives: fp,
+            false_negatives: fn_,
+            true_negatives: tn,
+        };
+        let run = RunLabels {
+            frames: vec![
+                FrameLabels {
+                    t_s: 0.0,
+                    keypoints: Some(counts([8, 2, 0, 90])),
+                    pixels: Some(counts([10, 0, 10, 80])),
+                },
+                FrameLabels {
+                    t_s: 0.1,
+                    keypoints: Some(counts([0, 2, 0, 98])), // nothing moves, two false alarms
+                    pixels: None,
+                },
+                FrameLabels {
+                    t_s: 0.2,
+                    keypoints: None, // lost
+                    pixels: Some(counts([0, 0, 10, 90])),
+                },
+            ],
+        };
+        assert_eq!(run.keypoints(), counts([8, 4, 0, 188]), "keypoints");
+        assert_eq!(run.pixels(), counts([10, 0, 20, 170]), "pixels");
+        let metrics = run.metrics();
+        assert!(is(metrics.keypoints.precision, 8.0 / 12.0), "{metrics:?}");
+        assert!(is(metrics.keypoints.recall, 1.0), "{metrics:?}");
+        assert!(is(metrics.pixels.iou, 1.0 / 3.0), "{metrics:?}");
+        assert!(is(metrics.pixels.f1, 0.5), "{metrics:?}");
+        let nothing = RunLabels::default().metrics();
+        assert_eq!(nothing, LabelMetrics::default(), "no frame, no figure");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! Reading order: [`mod@associate`] (which estimate belongs to which truth) → [`align`] (the best
 //! rigid motion between two point lists) → [`mod@ate`], [`mod@rpe`] (trajectory errors, the numbers of
-//! the papers) → [`image_metrics`], [`depth`], [`labels`] (pictures and segmentations) →
+//! the papers) → [`image_metrics`], [`depth`], [`mod@ghosts`], [`labels`] (pictures and segmentations) →
 //! [`metrics`] (`metrics.json`) → [`plot`], [`report`] (`report.html`).
 //!
 //! No function here reads a file or a clock: values in, values out.
@@ -12,6 +12,7 @@ pub mod associate;
 pub mod ate;
 pub mod depth;
 pub mod error;
+pub mod ghosts;
 pub mod image_metrics;
 pub mod labels;
 pub mod metrics;
@@ -25,8 +26,9 @@ pub use associate::{MAX_DT_S, associate, nearest_in_time};
 pub use ate::{Ate, AteOptions, AtePoint, ate};
 pub use depth::{DepthL1, depth_l1};
 pub use error::EvalError;
+pub use ghosts::{GHOST_GAP_M, Ghosts, ghosts};
 pub use image_metrics::{PictureQuality, compare_pictures, psnr_db, ssim, ssim_map};
-pub use labels::Confusion;
+pub use labels::{Confusion, FrameLabels, RunLabels};
 pub use metrics::{Metrics, RenderMetrics, StageTiming};
 pub use report::{FrameState, ReportData, Strip};
 pub use rpe::{Rpe, RpeDelta, RpeOptions, rpe};
