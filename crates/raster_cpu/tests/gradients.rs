@@ -140,18 +140,6 @@ impl Probe {
             Self::Pose(k) => g.pose[k],
         }
     }
-
-    /// 0 to 5: which array.
-    fn array(self) -> usize {
-        match self {
-            Self::Mean(..) => 0,
-            Self::LogScale(..) => 1,
-            Self::Quaternion(..) => 2,
-            Self::Logit(_) => 3,
-            Self::Sh(..) => 4,
-            Self::Pose(_) => 5,
-        }
-    }
 }
 
 /// Five pictures in one: (r, g, b, depth, opacity) per pixel.
@@ -164,8 +152,9 @@ fn channels(r: &Rendered<f64>) -> Vec<[f64; 5]> {
         .collect()
 }
 
-/// Central differences with h = 1e-5 for every parameter: they agree to 1e-7 of the element,
-/// elements below a hundredth of their array's largest being judged by that.
+/// Central differences with h = 1e-5 for every parameter of every Gaussian, 59 each at degree 3, and
+/// the pose, L being of all five pictures: they agree to 2e-7 of each element (measured 8e-8, on
+/// elements that almost cancel; median 3e-10), and none is zero.
 #[test]
 fn every_parameter_against_differences() {
     for seed in [1, 2, 3] {
@@ -217,19 +206,13 @@ fn every_parameter_against_differences() {
                 [c[0], c[1], c[2], of(&up.depth), of(&up.opacity)]
             })
             .collect();
-        let mut largest = [0.0f64; 6];
-        for (probe, _) in &slopes {
-            let largest = &mut largest[probe.array()];
-            *largest = largest.max(probe.of(&gradients).abs());
-        }
         for (probe, slope) in &slopes {
             let numeric: f64 = (weights.iter().zip(slope))
                 .map(|(w, s)| (0..5).map(|c| w[c] * s[c]).sum::<f64>())
                 .sum();
             let analytic = probe.of(&gradients);
-            let size = analytic.abs().max(0.01 * largest[probe.array()]);
             assert!(
-                (analytic - numeric).abs() < 1e-7 * size,
+                (analytic - numeric).abs() < 2e-7 * analytic.abs(),
                 "scene {seed}, {probe:?}: {analytic} against {numeric}"
             );
             assert!(
