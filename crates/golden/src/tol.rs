@@ -172,6 +172,13 @@ pub const TABLE: &[Tolerance] = &[
     // dataset
     abs_rel("dataset.rotation", 1e-15, 0.0, "entries of R, three products of unit quaternions against three of matrices"),
     abs_rel("dataset.translation", 2e-15, 0.0, "m: positions of size 3, spacing 4.4e-16, and a lever of 2 cm"),
+    // unary, kernel, mean_field, label_window
+    abs_rel("crf.unary", 0.0, 1e-14, "mean of four exponentials, each a few roundings of its exponent away"),
+    abs_rel("crf.log_odds", 1e-13, 1e-14, "ln P and ln(1 - P), both at most 7"),
+    abs_rel("crf.kernel", 1e-15, 1e-14, "an exponential; its exponent of up to 37 is rounded to 7e-15"),
+    abs_rel("crf.q", 1e-10, 0.0, "a rounding of 1e-15 per sum, grown by up to (w1 + w2) / 2 per iteration"),
+    abs_rel("crf.energy", 1e-12, 1e-13, "a sum of 66 couplings"),
+    abs_rel("crf.score", 1e-15, 0.0, "a quotient of small whole numbers"),
 ];
 
 /// The entry of this name.
