@@ -14,7 +14,9 @@ use crate::error::RasterError;
 /// # Shapes and units
 /// Colours in [0, 1]; `lambda` in [0, 1]; the gradient is by `rendered`.
 /// # Numerics
-/// As [`super::l1()`] and [`super::ssim()`], in one sweep; the same bits for every `par`.
+/// As [`super::l1()`] and [`super::ssim()`], in one sweep; the same bits for every `par`, with and
+/// without AVX. In f32, on smooth shading with noise of 0.02, the value is off by 1e-6 and the
+/// gradient by 2e-4 of its largest element (the plain form: 4e-7 and 1e-4).
 /// # Errors
 /// [`RasterError::SizeMismatch`]; [`RasterError::Lambda`].
 pub fn photometric<T: Real>(
