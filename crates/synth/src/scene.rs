@@ -7,7 +7,7 @@ use garad_core::{Camera, DepthImage, Image, MaskImage, Par, RgbImage, Se3, Stamp
 use crate::actor::Actor;
 use crate::camera_path::CameraPath;
 use crate::cast::{actors, furnishing};
-use crate::config::{SceneConfig, SynthError};
+use crate::config::{SceneConfig, SceneName, SynthError};
 use crate::flow;
 use crate::light::{Lighting, brightness};
 use crate::noise;
@@ -79,15 +79,13 @@ impl Scene {
         let cx = 0.5 * (width as f64 - 1.0) + 2.75 * scale;
         let cy = 0.5 * (height as f64 - 1.0) - 3.5 * scale;
         let camera = Camera::pinhole((width, height), [525.0 * scale, 525.0 * scale, cx, cy])?;
-        #[allow(
-            clippy::cast_possible_truncation,
-            reason = "any 32 bits of the seed will do"
-        )]
-        let texture_seed = (config.seed ^ (config.seed >> 32)) as u32;
         Ok(Self {
             camera,
             path: CameraPath::new(config.name, config.seed),
-            room: Arc::new(furnished(furnishing(config.name), texture_seed)),
+            room: Arc::new(furnished(
+                furnishing(config.name),
+                texture_seed(config.seed),
+            )),
             actors: if config.static_twin {
                 Vec::new()
             } else {
@@ -105,6 +103,23 @@ impl Scene {
         twin.config.static_twin = true;
         twin.actors.clear();
         twin
+    }
+
+    /// Another scene with the same settings. Where it is furnished alike, it shares the room and
+    /// its light, which take longer to work out than a frame.
+    #[must_use]
+    pub fn sibling(&self, name: SceneName) -> Self {
+        let mut other = self.clone();
+        other.config.name = name;
+        other.path = CameraPath::new(name, self.config.seed);
+        if !self.config.static_twin {
+            other.actors = actors(name, self.config.seed);
+        }
+        if furnishing(name) != furnishing(self.config.name) {
+            other.room = Arc::new(furnished(furnishing(name), texture_seed(self.config.seed)));
+            other.lighting = Arc::default();
+        }
+        other
     }
 
     /// What was asked for.
@@ -244,4 +259,12 @@ impl Scene {
             actor.moves_between(t(before), t(before + 1))
         })
     }
+}
+
+#[allow(
+    clippy::cast_possible_truncation,
+    reason = "any 32 bits of the seed will do"
+)]
+fn texture_seed(seed: u64) -> u32 {
+    (seed ^ (seed >> 32)) as u32
 }

@@ -20,6 +20,40 @@ fn scene(name: SceneName, width: usize) -> Scene {
     Scene::new(&config).expect("a good configuration")
 }
 
+/// Every scene, each of the three rooms built once.
+fn all_scenes(config: &SceneConfig) -> Vec<Scene> {
+    let rooms = [SceneName::QuietDesk, SceneName::Walking, SceneName::Crowd].map(|name| {
+        Scene::new(&SceneConfig {
+            name,
+            ..config.clone()
+        })
+        .expect("a good configuration")
+    });
+    let sibling = |name: SceneName| match name {
+        SceneName::QuietDesk | SceneName::Loop => rooms[0].sibling(name),
+        SceneName::Crowd | SceneName::Throng => rooms[2].sibling(name),
+        _ => rooms[1].sibling(name),
+    };
+    SceneName::all().map(sibling).to_vec()
+}
+
+/// In the same room or another, a sibling is what it would be alone.
+#[test]
+fn siblings_are_scenes_of_their_own() {
+    let quiet = scene(SceneName::QuietDesk, 48);
+    let lit = quiet.frame(0, Par::Seq);
+    for name in [SceneName::Loop, SceneName::Throng] {
+        let (sibling, alone) = (quiet.sibling(name), scene(name, 48));
+        assert_eq!(sibling.config(), alone.config(), "{name}");
+        let frames = [&sibling, &alone].map(|s| s.frame(7, Par::Seq));
+        assert!(frames[0] == frames[1] && frames[0] != lit, "{name}");
+        let twins = [sibling, alone].map(|s| s.static_twin().frame(7, Par::Seq));
+        assert!(twins[0] == twins[1], "{name}: twins");
+        let of_twin = quiet.static_twin().sibling(name);
+        assert!(of_twin.frame(7, Par::Seq) == twins[0], "{name}: of a twin");
+    }
+}
+
 fn pixels(size: (usize, usize), border: usize) -> impl Iterator<Item = (usize, usize)> {
     (border..size.1 - border).flat_map(move |y| (border..size.0 - border).map(move |x| (x, y)))
 }
@@ -523,13 +557,14 @@ fn noise_is_of_the_pixel_and_not_of_the_scene() {
 /// 20 from that of at least two pixels three to the side, one of them across (a corner's arms).
 #[test]
 fn every_quarter_has_corners() {
-    for name in SceneName::all() {
-        let plain = scene(name, 240).config().clone();
-        let scene = Scene::new(&SceneConfig {
-            supersample: 1,
-            ..plain
-        })
-        .expect("good");
+    let config = SceneConfig {
+        width: 240,
+        height: 180,
+        supersample: 1,
+        ..SceneConfig::default()
+    };
+    for scene in all_scenes(&config) {
+        let name = scene.config().name;
         for i in [0, 75] {
             let frame = scene.frame(i, Par::Seq);
             let image = frame.rgb.to_gray();
@@ -589,14 +624,7 @@ fn motion_is_a_function_of_time() {
 /// purpose, the new numbers come from the failure's message.
 #[test]
 fn bits_are_those_of_every_other_machine() {
-    let hash = |name: SceneName| {
-        let config = SceneConfig {
-            width: 48,
-            height: 36,
-            noise: true,
-            ..SceneConfig::new(name)
-        };
-        let scene = Scene::new(&config).expect("a good configuration");
+    let hash = |scene: &Scene| {
         let frame = scene.frame(11, Par::Seq);
         let flow = scene.flow(11, 12, Par::Seq);
         let colour = frame.rgb.data().iter().flatten().copied();
@@ -615,7 +643,14 @@ fn bits_are_those_of_every_other_machine() {
             (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01B3)
         })
     };
-    let hashes = SceneName::all().map(|name| format!("{name} {:016x}", hash(name)));
+    let scenes = all_scenes(&SceneConfig {
+        width: 48,
+        height: 36,
+        noise: true,
+        ..SceneConfig::default()
+    });
+    let named = |scene: &Scene| format!("{} {:016x}", scene.config().name, hash(scene));
+    let hashes: Vec<String> = scenes.iter().map(named).collect();
     let expected = [
         "quiet_desk 81aab33718972fe2",
         "walking e533a47ee4867120",
