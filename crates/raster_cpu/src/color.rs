@@ -2,6 +2,8 @@
 
 use garad_core::{GaussianMap, Real, sh};
 
+use crate::covariance::three;
+
 /// max(0, ½ + Σₖ Yₖ(d) fₖ), d = (mean - c) / |mean - c|, c the camera's centre (R7).
 ///
 /// `None` when a coefficient or the square of a colour is not finite. A mean on the centre itself has no direction; the
@@ -21,7 +23,7 @@ pub(crate) fn color<T: Real>(map: &GaussianMap<T>, i: usize, center: [T; 3]) -> 
 /// d and the distance |mean - c|, metres.
 #[inline]
 fn direction<T: Real>(mean: [T; 3], center: [T; 3]) -> ([T; 3], T) {
-    let [x, y, z] = [0, 1, 2].map(|k| mean[k] - center[k]);
+    let [x, y, z] = three(|k| mean[k] - center[k]);
     let norm = (x * x + y * y + z * z).sqrt();
     ([x / norm, y / norm, z / norm], norm)
 }
@@ -51,7 +53,7 @@ pub(crate) fn color_backward<T: Real>(
     color: [T; 3],
     d_color: [T; 3],
 ) -> ColorGradient<T> {
-    let g = [0, 1, 2].map(|k| {
+    let g = three(|k| {
         if color[k] > T::ZERO {
             d_color[k]
         } else {
@@ -79,7 +81,7 @@ pub(crate) fn color_backward<T: Real>(
     ColorGradient {
         basis,
         g,
-        offset: [0, 1, 2].map(|k| (d_direction[k] - along * direction[k]) / norm),
+        offset: three(|k| (d_direction[k] - along * direction[k]) / norm),
     }
 }
 

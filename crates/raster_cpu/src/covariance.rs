@@ -13,6 +13,18 @@ use crate::view::View;
 /// about half a pixel, so none falls between pixel centres. Source: 3D Gaussian Splatting.
 pub const BLUR_PX2: f64 = 0.3;
 
+/// (f(0), f(1)); the compiler leaves an array's own `map` as a call.
+#[inline(always)]
+pub(crate) fn two<A>(f: impl Fn(usize) -> A) -> [A; 2] {
+    [f(0), f(1)]
+}
+
+/// (f(0), f(1), f(2)), as [`two`].
+#[inline(always)]
+pub(crate) fn three<A>(f: impl Fn(usize) -> A) -> [A; 3] {
+    [f(0), f(1), f(2)]
+}
+
 /// A symmetric 2x2 covariance in the picture and its determinant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Covariance2<T> {
@@ -56,7 +68,7 @@ pub(crate) fn rotation<T: Real>([w, x, y, z]: [T; 4]) -> Option<[[T; 3]; 3]> {
 pub(crate) fn rotation_backward<T: Real>(quaternion: [T; 4], g: &[[T; 3]; 3]) -> [T; 4] {
     let [w, x, y, z] = quaternion;
     let norm = (w * w + x * x + y * y + z * z).sqrt();
-    let unit = quaternion.map(|v| v / norm);
+    let unit = [w / norm, x / norm, y / norm, z / norm];
     let [w, x, y, z] = unit;
     let two = T::from_f64(2.0);
     // ∂R/∂w is antisymmetric; the others are symmetric but for one term with w.
@@ -69,7 +81,8 @@ pub(crate) fn rotation_backward<T: Real>(quaternion: [T; 4], g: &[[T; 3]; 3]) ->
         two * (w * a_z + x * s_xz + y * s_yz - two * z * (g[0][0] + g[1][1])),
     ];
     let radial = free[0] * w + free[1] * x + free[2] * y + free[3] * z;
-    [0, 1, 2, 3].map(|k| (free[k] - radial * unit[k]) / norm)
+    let across = |k: usize| (free[k] - radial * unit[k]) / norm;
+    [across(0), across(1), across(2), across(3)]
 }
 
 /// J W: the derivative of the pixel by the world point, rows (∂u, ∂v), px/m (R3).
@@ -83,7 +96,7 @@ pub(crate) fn pixel_from_world<T: Real>(view: &View<T>, p_cam: [T; 3]) -> [[T; 3
     let r = &view.rotation;
     let row = |axis: usize, slope: T| {
         let (slope, _) = clamped(slope, view.slope_limit[axis]);
-        [0, 1, 2].map(|j| view.focal_px[axis] / z * (r[axis][j] - slope * r[2][j]))
+        three(|j| view.focal_px[axis] / z * (r[axis][j] - slope * r[2][j]))
     };
     [row(0, x / z), row(1, y / z)]
 }
@@ -126,7 +139,7 @@ pub(crate) fn pixel_from_world_backward<T: Real>(
         let scale = view.focal_px[axis] / z;
         let (g, row) = (&gradient[axis], &pixel_from_world[axis]);
         d_p[2] -= (g[0] * row[0] + g[1] * row[1] + g[2] * row[2]) / z;
-        let h = [0, 1, 2].map(|i| {
+        let h = three(|i| {
             let r = &view.rotation[i];
             r[0] * g[0] + r[1] * g[1] + r[2] * g[2]
         });
@@ -164,8 +177,9 @@ pub(crate) fn half_axes<T: Real>(
     rotation: &[[T; 3]; 3],
     sigma_m: [T; 3],
 ) -> [[T; 3]; 2] {
-    pixel_from_world.map(|row| {
-        [0, 1, 2].map(|k| {
+    two(|a| {
+        let row = &pixel_from_world[a];
+        three(|k| {
             (row[0] * rotation[0][k] + row[1] * rotation[1][k] + row[2] * rotation[2][k])
                 * sigma_m[k]
         })
@@ -196,17 +210,16 @@ pub(crate) fn half_axes_backward<T: Real>(
     m: &[[T; 3]; 2],
     g: &[[T; 3]; 2],
 ) -> HalfAxesGradient<T> {
-    let gs = g.map(|row| [0, 1, 2].map(|k| row[k] * sigma_m[k]));
+    let gs = two(|a| three(|k| g[a][k] * sigma_m[k]));
     HalfAxesGradient {
-        pixel_from_world: gs.map(|row| {
-            [0, 1, 2].map(|j| {
-                row[0] * rotation[j][0] + row[1] * rotation[j][1] + row[2] * rotation[j][2]
-            })
+        pixel_from_world: two(|a| {
+            let row = &gs[a];
+            three(|j| row[0] * rotation[j][0] + row[1] * rotation[j][1] + row[2] * rotation[j][2])
         }),
-        rotation: [0, 1, 2].map(|j| {
-            [0, 1, 2].map(|k| pixel_from_world[0][j] * gs[0][k] + pixel_from_world[1][j] * gs[1][k])
+        rotation: three(|j| {
+            three(|k| pixel_from_world[0][j] * gs[0][k] + pixel_from_world[1][j] * gs[1][k])
         }),
-        log_scale: [0, 1, 2].map(|k| m[0][k] * g[0][k] + m[1][k] * g[1][k]),
+        log_scale: three(|k| m[0][k] * g[0][k] + m[1][k] * g[1][k]),
     }
 }
 
@@ -243,8 +256,8 @@ pub(crate) fn covariance_backward<T: Real>(m: &[[T; 3]; 2], [xx, xy, yy]: [T; 3]
     let [u, v] = m;
     let two = T::from_f64(2.0);
     [
-        [0, 1, 2].map(|k| two * xx * u[k] + xy * v[k]),
-        [0, 1, 2].map(|k| xy * u[k] + two * yy * v[k]),
+        three(|k| two * xx * u[k] + xy * v[k]),
+        three(|k| xy * u[k] + two * yy * v[k]),
     ]
 }
 

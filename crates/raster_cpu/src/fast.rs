@@ -21,6 +21,8 @@ mod lanes;
 mod splat;
 
 use garad_core::{Camera, GaussianMap, Image, Par, Real, Se3};
+use wide::bytemuck::cast;
+use wide::f32x8;
 
 use self::backward::{Rows, Sums, TileBackward};
 use self::bin::{Bands, Columns, Entry, sorted};
@@ -173,7 +175,8 @@ pub fn backward(
                     background,
                 }
             });
-            TileBackward::new(rows).take_back(
+            let rows: Vec<Rows> = rows.collect();
+            TileBackward::new(&rows).take_back(
                 places.len(),
                 |entry| &columns.splats[places[entry] as usize],
                 [x0 as f32, y0 as f32],
@@ -285,43 +288,44 @@ impl<'a> Stripe<'a> {
         for (i, block) in pixels.blocks.iter().enumerate() {
             let (column, row) = corner(i);
             let x = x0 + column;
-            let t = block.transmittance.abs().to_array();
-            let color = block.color.map(|c| c.to_array());
+            let light = block.transmittance.abs();
+            let color = [0, 1, 2].map(|k| block.color[k] + light * f32x8::splat(background[k]));
+            let color = color.map(|c| c.to_array());
+            let t = light.to_array();
+            let opacity = (f32x8::ONE - light).to_array();
             let depth = block.depth.to_array();
-            let contributors = block.contributors.to_array();
-            let last = block.last.to_array();
-            for (y, first) in [(row, 0), (row + 1, 4)] {
+            let contributors = cast::<_, [u32; 8]>(block.contributors);
+            // Whole numbers below 2²⁴.
+            let last = cast::<_, [u32; 8]>(block.last.fast_trunc_int());
+            for (y, half) in [(row, 0), (row + 1, 4)] {
                 if y >= height || x >= self.width {
                     continue;
                 }
+                let at = y * self.width + x;
                 let n = (self.width - x).min(4);
-                let at = y * self.width + x..y * self.width + x + n;
-                let lanes = first..first + n;
-                for (out, lane) in self.color[at.clone()].iter_mut().zip(lanes.clone()) {
-                    *out = [0, 1, 2].map(|k| color[k][lane] + t[lane] * background[k]);
-                }
-                for (out, lane) in self.opacity[at.clone()].iter_mut().zip(lanes.clone()) {
-                    *out = 1.0 - t[lane];
-                }
-                self.transmittance[at.clone()].copy_from_slice(&t[lanes.clone()]);
-                self.depth[at.clone()].copy_from_slice(&depth[lanes.clone()]);
-                put_counts(&mut self.last[at.clone()], &last[lanes.clone()]);
-                for (out, &count) in self.contributors[at].iter_mut().zip(&contributors[lanes]) {
-                    *out = count.unsigned_abs();
-                }
+                put(&mut self.transmittance[at..at + n], &t[half..]);
+                put(&mut self.opacity[at..at + n], &opacity[half..]);
+                put(&mut self.depth[at..at + n], &depth[half..]);
+                put(&mut self.contributors[at..at + n], &contributors[half..]);
+                put(&mut self.last[at..at + n], &last[half..]);
+                let rgb = |lane: usize| [0, 1, 2].map(|k| color[k][half + lane]);
+                put(
+                    &mut self.color[at..at + n],
+                    &[rgb(0), rgb(1), rgb(2), rgb(3)],
+                );
             }
         }
     }
 }
 
-/// Whole numbers below 2²⁴ as integers.
-#[allow(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "counts are whole and not negative"
-)]
-fn put_counts(out: &mut [u32], counts: &[f32]) {
-    for (out, &count) in out.iter_mut().zip(counts) {
-        *out = count as u32;
+/// Four values, or as many as there is room for.
+#[inline(always)]
+fn put<A: Copy>(out: &mut [A], values: &[A]) {
+    if let (Some(out), Some(values)) = (out.first_chunk_mut::<4>(), values.first_chunk::<4>()) {
+        *out = *values;
+    } else {
+        for (out, value) in out.iter_mut().zip(values) {
+            *out = *value;
+        }
     }
 }

@@ -7,7 +7,7 @@ use crate::color::{color, color_backward};
 use crate::composite::SplatGradient;
 use crate::covariance::{
     Covariance2, covariance, covariance_backward, cross, half_axes, half_axes_backward,
-    pixel_from_world, pixel_from_world_backward, rotation, rotation_backward,
+    pixel_from_world, pixel_from_world_backward, rotation, rotation_backward, three, two,
 };
 use crate::render::Include;
 use crate::view::View;
@@ -126,7 +126,7 @@ fn project_one<T: Real>(map: &GaussianMap<T>, i: usize, view: &View<T>) -> Optio
     ];
 
     // R2 to R5: the covariance in the picture.
-    let sigma_m = map.log_scales[i].map(T::exp);
+    let sigma_m = three(|k| map.log_scales[i][k].exp());
     let m = half_axes(
         &pixel_from_world(view, p_cam),
         &rotation(map.quaternions[i])?,
@@ -185,7 +185,7 @@ impl<T: Real> RowGradient<T> {
     /// Writes the gradients of as many SH triples as `out` holds.
     pub(crate) fn put_sh(&self, out: &mut [[T; 3]]) {
         for (out, &basis) in out.iter_mut().zip(&self.basis) {
-            *out = self.color.map(|color| basis * color);
+            *out = three(|k| basis * self.color[k]);
         }
     }
 }
@@ -206,7 +206,7 @@ pub(crate) fn project_one_backward<T: Real>(
     let p_cam = camera_point(view, map.means[i]);
     let [x, y, z] = p_cam;
     let rotation = rotation(map.quaternions[i])?;
-    let sigma_m = map.log_scales[i].map(T::exp);
+    let sigma_m = three(|k| map.log_scales[i][k].exp());
     let jw = pixel_from_world(view, p_cam);
     let m = half_axes(&jw, &rotation, sigma_m);
 
@@ -227,14 +227,13 @@ pub(crate) fn project_one_backward<T: Real>(
     // R7: and the direction it is seen from.
     let d_color = color_backward(map, i, view.center, splat.color, d.color);
     let w = &view.rotation;
-    let across = [0, 1, 2].map(|i| {
+    let across = three(|i| {
         let o = &d_color.offset;
         w[i][0] * o[0] + w[i][1] * o[1] + w[i][2] * o[2]
     });
     let lever = cross(p_cam, d_p);
     Some(RowGradient {
-        mean: [0, 1, 2]
-            .map(|j| w[0][j] * d_p[0] + w[1][j] * d_p[1] + w[2][j] * d_p[2] + d_color.offset[j]),
+        mean: three(|j| w[0][j] * d_p[0] + w[1][j] * d_p[1] + w[2][j] * d_p[2] + d_color.offset[j]),
         log_scale: d_axes.log_scale,
         quaternion: rotation_backward(map.quaternions[i], &d_axes.rotation),
         // 1 - sigmoid(o) = sigmoid(-o), without the difference.
@@ -256,7 +255,7 @@ pub(crate) fn project_one_backward<T: Real>(
 #[inline]
 fn camera_point<T: Real>(view: &View<T>, mean: [T; 3]) -> [T; 3] {
     let (r, t) = (&view.rotation, &view.translation);
-    [0, 1, 2].map(|i| r[i][0] * mean[0] + r[i][1] * mean[1] + r[i][2] * mean[2] + t[i])
+    three(|i| r[i][0] * mean[0] + r[i][1] * mean[1] + r[i][2] * mean[2] + t[i])
 }
 
 /// 1 / (1 + e⁻ˣ).
@@ -289,7 +288,7 @@ fn footprint<T: Real>(mean_px: [T; 2], radius: T, size: [usize; 2]) -> PixelRect
     let cell = T::from_f64(FOOTPRINT_CELL_PX as f64);
     let last = T::from_f64((FOOTPRINT_CELL_PX - 1) as f64);
     let pixels = |cells: T, n: usize| to_index(cells.floor() * cell).min(n);
-    let [(x0, x1), (y0, y1)] = [0, 1].map(|k| {
+    let [(x0, x1), (y0, y1)] = two(|k| {
         (
             pixels((mean_px[k] - radius) / cell, size[k]),
             pixels((mean_px[k] + radius + last) / cell, size[k]),

@@ -1,7 +1,8 @@
 //! One tile on the way back, eight pixels at a time (R13, R14), and the sums of its splats.
 
 use garad_core::Real;
-use wide::{f32x4, f32x8};
+use wide::bytemuck::cast;
+use wide::{f32x4, f32x8, i32x4};
 
 use super::forward::{BLOCKS, Seen};
 use super::lanes::sums;
@@ -92,54 +93,82 @@ pub(crate) struct Rows<'a> {
     pub(crate) background: [f32; 3],
 }
 
+impl Rows<'_> {
+    /// `d_color`, `d_depth`, `transmittance`, `behind`, `last` of four pixels from column x on.
+    #[inline(always)]
+    fn four(&self, x: usize) -> [f32x4; 7] {
+        let [a, b, c, d] = four(&self.d_color[x..]);
+        let [red, green, blue] = [0, 1, 2].map(|k| f32x4::new([a[k], b[k], c[k], d[k]]));
+        let of = |row: Option<&[f32]>| row.map_or(f32x4::ZERO, |row| f32x4::new(four(&row[x..])));
+        let light = self.background.map(f32x4::splat);
+        let behind = red * light[0] + green * light[1] + blue * light[2] - of(self.d_opacity);
+        // Ranks are below 2²⁴, where signed and unsigned are one.
+        let last = cast::<[u32; 4], i32x4>(four(&self.last[x..])).round_float();
+        let transmittance = of(Some(self.transmittance));
+        [
+            red,
+            green,
+            blue,
+            of(self.d_depth),
+            transmittance,
+            behind,
+            last,
+        ]
+    }
+}
+
+/// The largest rank of four pixels.
+#[inline(always)]
+fn deepest(row: &Rows, x: usize) -> u32 {
+    let [a, b, c, d] = four(&row.last[x..]);
+    a.max(b).max(c.max(d))
+}
+
+/// The first four of a row, with zeros where it ends.
+#[inline(always)]
+fn four<A: Copy + Default>(row: &[A]) -> [A; 4] {
+    row.first_chunk().copied().unwrap_or_else(|| {
+        let mut four = [A::default(); 4];
+        for (out, value) in four.iter_mut().zip(row) {
+            *out = *value;
+        }
+        four
+    })
+}
+
 impl TileBackward {
-    /// Takes the pixels of the tile row by row from `rows`, whose slices begin at the tile's
-    /// first column; pixels they do not have have met no splat. What each starts with:
+    /// Takes the pixels of the tile from up to 16 rows, whose slices begin at the tile's first
+    /// column; pixels they do not have have met no splat. What each starts with:
     /// [`crate::backward::pixel`].
-    pub(crate) fn new<'a>(rows: impl Iterator<Item = Rows<'a>>) -> Self {
-        // d_color, d_depth, transmittance, behind, last.
-        let mut lanes = [[[0.0f32; 8]; 7]; BLOCKS];
-        let mut deepest = [0; BLOCKS];
-        let mut calm = true;
-        for (y, row) in rows.enumerate().take(16) {
-            let [red, green, blue] = row.background;
-            let pixels = row.d_color.iter().zip(row.transmittance).zip(row.last);
-            for (x, ((d, &transmittance), &last)) in pixels.enumerate().take(16) {
-                let block = x / 4 * 8 + y / 2;
-                let lane = y % 2 * 4 + x % 4;
-                let d_depth = row.d_depth.map_or(0.0, |d| d[x]);
-                let behind =
-                    d[0] * red + d[1] * green + d[2] * blue - row.d_opacity.map_or(0.0, |d| d[x]);
-                let values = [
-                    d[0],
-                    d[1],
-                    d[2],
-                    d_depth,
-                    transmittance,
-                    behind,
-                    last as f32,
-                ];
-                let size = values.iter().fold(0.0, |sum, v| sum + v.abs());
-                calm &= size < CALM;
-                for (lanes, value) in lanes[block].iter_mut().zip(values) {
-                    lanes[lane] = value;
+    pub(crate) fn new(rows: &[Rows]) -> Self {
+        let mut tile = Self {
+            blocks: [Block::EMPTY; BLOCKS],
+            deepest: [0; BLOCKS],
+            calm: true,
+        };
+        let mut size = f32x8::ZERO;
+        for (pair, rows) in rows.chunks(2).enumerate() {
+            for column in 0..rows[0].d_color.len().div_ceil(4).min(4) {
+                let i = column * 8 + pair;
+                let upper = rows[0].four(4 * column);
+                let (lower, below) = rows.get(1).map_or_else(Default::default, |row| {
+                    (row.four(4 * column), deepest(row, 4 * column))
+                });
+                tile.deepest[i] = deepest(&rows[0], 4 * column).max(below);
+                let of = |k: usize| cast::<[f32x4; 2], f32x8>([upper[k], lower[k]]);
+                let block = &mut tile.blocks[i];
+                block.d_color = [of(0), of(1), of(2)];
+                block.d_depth = of(3);
+                block.transmittance = of(4);
+                block.behind = of(5);
+                block.last = of(6);
+                for k in 0..6 {
+                    size += of(k).abs();
                 }
-                deepest[block] = deepest[block].max(last);
             }
         }
-        let mut blocks = [Block::EMPTY; BLOCKS];
-        for (block, lanes) in blocks.iter_mut().zip(&lanes) {
-            block.d_color = [lanes[0], lanes[1], lanes[2]].map(f32x8::new);
-            block.d_depth = f32x8::new(lanes[3]);
-            block.transmittance = f32x8::new(lanes[4]);
-            block.behind = f32x8::new(lanes[5]);
-            block.last = f32x8::new(lanes[6]);
-        }
-        Self {
-            blocks,
-            deepest,
-            calm,
-        }
+        tile.calm = size.to_array().iter().all(|&size| size < CALM);
+        tile
     }
 
     /// The way back through [`super::forward::TilePixels::composite`]: hands the number of each

@@ -77,31 +77,36 @@ impl Splat {
     #[inline(always)]
     pub(crate) fn reach(&self, [x, y]: [f32; 2]) -> u32 {
         let ([u, v], [half_u, half_v], side) = (self.mean_px, self.half_px, 15.0);
-        if u + half_u < x || u - half_u > x + side || v + half_v < y || v - half_v > y + side {
+        let beside = (u + half_u < x) | (u - half_u > x + side);
+        if beside | (v + half_v < y) | (v - half_v > y + side) {
             return 0;
         }
-        // Every second row of the tile, from `first` on.
+        let margin = f32x8::splat(margin(u));
+        // The interval of every second row of the tile, from `first` on; beyond the ellipse an
+        // empty one.
         let of_rows = |first: f32| {
             let steps = f32x8::new([0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 14.0]);
-            let dy = (f32x8::splat(first) + steps) - f32x8::splat(v);
+            let dy = f32x8::splat(first - v) + steps;
             let rest = f32x8::splat(self.k) + f32x8::splat(self.across) * dy * dy;
             // A positive floor: 0 times an infinite variance would be no number.
             let square = rest.fast_max(f32x8::splat(1e-30)) * f32x8::splat(self.var_along);
             let lean = f32x8::splat(self.shear) * dy;
-            let middle = f32x8::splat(u) - lean;
-            let margin = f32x8::splat(margin(u)) + lean.abs() * f32x8::splat(1e-6);
-            let half = square.sqrt() + margin;
-            let (first, last) = (middle - half, middle + half);
-            let alive = rest.simd_ge(f32x8::ZERO);
-            let hit = |quad: f32| {
-                let from = x + 4.0 * quad;
-                let starts = first.simd_le(f32x8::splat(from + 3.0));
-                let ends = last.simd_ge(f32x8::splat(from));
-                (alive & starts & ends).to_bitmask()
-            };
-            hit(0.0) | hit(1.0) << 8 | hit(2.0) << 16 | hit(3.0) << 24
+            let middle = f32x8::splat(u - x) - lean;
+            let half = square.sqrt() + (margin + lean.abs() * f32x8::splat(1e-6));
+            let inside = rest.simd_ge(f32x8::ZERO);
+            let half = inside.bitselect(half, f32x8::splat(-1e30));
+            (middle - half, middle + half)
         };
-        of_rows(y) | of_rows(y + 1.0)
+        let (upper, lower) = (of_rows(y), of_rows(y + 1.0));
+        // The columns that either row of a pair of rows reaches, from the tile's first.
+        let first = upper.0.fast_min(lower.0);
+        let last = upper.1.fast_max(lower.1);
+        let hit = |column: f32| {
+            let starts = first.simd_le(f32x8::splat(column + 3.0));
+            let ends = last.simd_ge(f32x8::splat(column));
+            (starts & ends).to_bitmask()
+        };
+        hit(0.0) | hit(4.0) << 8 | hit(8.0) << 16 | hit(12.0) << 24
     }
 }
 
