@@ -410,6 +410,36 @@ fn depth_gradients_are_derivatives_and_thin_places_are_left_out() {
     }
 }
 
+/// What a depth camera writes where it sees nothing, and a mask, are not judged.
+#[test]
+fn depths_that_are_none_are_left_out() {
+    let measured = vec![
+        f32::NAN,
+        f32::INFINITY,
+        f32::NEG_INFINITY,
+        -1.0,
+        0.0,
+        2.0,
+        3.0,
+    ];
+    let measured = Image::from_vec(7, 1, measured).expect("7 pixels");
+    let (depth, opacity) = (Image::new(7, 1, 1.0f64), Image::new(7, 1, 1.0));
+    let mask = Image::from_fn(7, 1, |x, _| if x == 6 { 255u8 } else { 0 });
+    let loss = depth_l1(&depth, &opacity, &measured, 0.5, Some(&mask)).expect("fits");
+    assert_eq!(loss.pixels, 1, "the sixth alone");
+    assert!((loss.value - 1.0).abs() < 1e-15, "{}", loss.value);
+    assert_eq!(
+        loss.depth.data(),
+        [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0],
+        "by depth"
+    );
+    assert_eq!(
+        loss.opacity.data(),
+        [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0],
+        "by opacity"
+    );
+}
+
 #[test]
 fn what_does_not_fit_is_an_error() {
     let (x, y) = (noise(1, 6, 4), noise(2, 4, 6));
