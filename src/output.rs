@@ -113,6 +113,12 @@ impl Judged {
                 "           PSNR {psnr:.2} dB, SSIM {ssim:.4} outside the masks"
             ));
         }
+        if let (Some(l1_m), Some(coverage)) = (m.render_depth.l1_m, m.render_depth.coverage) {
+            lines.push(format!(
+                "           depth L1 {l1_m:.4} m over {:.1} % of the measured pixels",
+                100.0 * coverage
+            ));
+        }
         match &self.ate {
             Some(ate) => {
                 let s = &ate.stats;

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use garad_core::undistort::Undistortion;
 use garad_core::{Camera, Distortion, GaussianMap, Par, RgbImage, StampedPose};
-use garad_eval::{RenderMetrics, compare_pictures};
+use garad_eval::{DepthMetrics, RenderMetrics, compare_pictures, depth_l1};
 use garad_raster::{Include, RenderOptions, fast};
 
 use crate::progress::Progress;
@@ -16,6 +16,8 @@ pub struct RenderQuality {
     pub all: RenderMetrics,
     /// Outside what moves (255) or is unknown (128); only frames with a mask count.
     pub outside_mask: RenderMetrics,
+    /// Rendered depth against measured depth, outside what moves.
+    pub depth: DepthMetrics,
     /// Frames judged.
     pub frames: usize,
 }
@@ -46,6 +48,7 @@ pub fn judge(
         ..RenderOptions::default()
     };
     let (mut all, mut outside) = (Sums::default(), Sums::default());
+    let mut depth = DepthSums::default();
     let mut progress = Progress::new("judging", trajectory.len(), quiet);
     for frame in frames.flatten() {
         let Some(pose) = pose_at(trajectory, frame.t_s) else {
@@ -56,7 +59,12 @@ pub fn judge(
         let color = crate::pictures::color_picture(&rendered);
         let truth = straightened(&straight, &frame.rgb, par);
         all.add(compare_pictures(&color, &truth, Some(&unseen), par)?);
-        if let Some(mask) = frame.mask.as_ref().map(|m| straight.nearest(m, 255))
+        let mask = frame.mask.as_ref().map(|m| straight.nearest(m, 255));
+        let measured = straight.nearest(&frame.depth, 0.0);
+        if let Ok(error) = depth_l1(&rendered.normalized_depth(), &measured, mask.as_ref()) {
+            depth.add(error);
+        }
+        if let Some(mask) = mask
             && let Ok(quality) = compare_pictures(&color, &truth, Some(&mask), par)
         {
             outside.add(quality);
@@ -67,6 +75,7 @@ pub fn judge(
     Ok(RenderQuality {
         all: all.mean(),
         outside_mask: outside.mean(),
+        depth: depth.mean(),
         frames: all.count,
     })
 }
@@ -110,6 +119,29 @@ impl Sums {
         RenderMetrics {
             psnr_db: mean(self.psnr_db),
             ssim: mean(self.ssim),
+        }
+    }
+}
+
+#[derive(Default)]
+struct DepthSums {
+    l1_m: f64,
+    coverage: f64,
+    count: usize,
+}
+
+impl DepthSums {
+    fn add(&mut self, error: garad_eval::DepthL1) {
+        self.l1_m += error.mean_m;
+        self.coverage += error.coverage;
+        self.count += 1;
+    }
+
+    fn mean(&self) -> DepthMetrics {
+        let mean = |sum: f64| (self.count > 0).then(|| sum / self.count as f64);
+        DepthMetrics {
+            l1_m: mean(self.l1_m),
+            coverage: mean(self.coverage),
         }
     }
 }

@@ -60,11 +60,19 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         say(&format!("outside masks  {}", row(&quality.outside_mask)))?;
     }
 
+    if let (Some(l1_m), Some(coverage)) = (quality.depth.l1_m, quality.depth.coverage) {
+        let percent = 100.0 * coverage;
+        say(&format!(
+            "depth          L1 {l1_m:.4} m where both are known, {percent:.1} % of measured pixels"
+        ))?;
+    }
+
     let path = args.out.join("metrics.json");
     if let Ok(text) = std::fs::read_to_string(&path) {
         let mut metrics = Metrics::from_json(&text).with_context(|| path.display().to_string())?;
         metrics.render = quality.all;
         metrics.render_static = quality.outside_mask;
+        metrics.render_depth = quality.depth;
         write_bytes_atomically(&path, metrics.to_json().as_bytes())?;
     }
     Ok(())

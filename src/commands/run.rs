@@ -138,6 +138,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         )?;
         judged.metrics.render = quality.all;
         judged.metrics.render_static = quality.outside_mask;
+        judged.metrics.render_depth = quality.depth;
     }
     output::write(&out, &result, &judged, dataset.warnings())?;
     if result.stopped_by.is_none() {

@@ -29,7 +29,7 @@ pub use error::EvalError;
 pub use ghosts::{GHOST_GAP_M, Ghosts, ghosts};
 pub use image_metrics::{PictureQuality, compare_pictures, psnr_db, ssim, ssim_map};
 pub use labels::{Confusion, FrameLabels, RunLabels};
-pub use metrics::{Metrics, RenderMetrics, StageTiming};
+pub use metrics::{DepthMetrics, Metrics, RenderMetrics, StageTiming};
 pub use report::{FrameState, ReportData, Strip};
 pub use rpe::{Rpe, RpeDelta, RpeOptions, rpe};
 pub use stats::Stats;

@@ -34,6 +34,9 @@ pub struct Metrics {
     pub render: RenderMetrics,
     /// All frames, outside the moving mask.
     pub render_static: RenderMetrics,
+    /// All frames, rendered depth against measured depth.
+    #[serde(default)]
+    pub render_depth: DepthMetrics,
     /// Moving or static.
     pub labels: LabelMetrics,
     /// The map at the end.
@@ -79,6 +82,15 @@ pub struct RenderMetrics {
     pub psnr_db: Option<f64>,
     /// At most 1.
     pub ssim: Option<f64>,
+}
+
+/// See [`crate::depth_l1()`]; means over frames, outside the moving mask where there is one.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct DepthMetrics {
+    /// Mean absolute error, metres.
+    pub l1_m: Option<f64>,
+    /// Share of the measured pixels that the map shows, in [0, 1].
+    pub coverage: Option<f64>,
 }
 
 /// See [`crate::labels`].
@@ -260,6 +272,7 @@ mod tests {
             ate.rmse_m ate.mean_m ate.median_m ate.std_m ate.max_m ate.pairs \
             rpe.trans_rmse_m_per_s rpe.rot_rmse_deg_per_s \
             render.psnr_db render.ssim render_static.psnr_db render_static.ssim \
+            render_depth.l1_m render_depth.coverage \
             labels.keypoints.precision labels.keypoints.recall labels.keypoints.f1 \
             labels.pixels.precision labels.pixels.recall labels.pixels.f1 labels.pixels.iou \
             map.gaussians map.dynamic \

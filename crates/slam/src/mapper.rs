@@ -168,7 +168,7 @@ impl Mapper {
                 Pick::Shuffled
             };
             observer.begin(Stage::Train);
-            let step = self.step(pick);
+            let step = self.step(pick, true);
             observer.end(Stage::Train);
             match step {
                 Ok(Some(step)) => done.loss = Some(step.loss),
@@ -184,7 +184,8 @@ impl Mapper {
     }
 
     /// Trains for so many iterations on all keyframes, then drops what has faded. `poses` are
-    /// those of the keyframes at the end; `on_step` is told of each iteration.
+    /// those of the keyframes at the end; `on_step` is told of each iteration. Gaussians are cloned
+    /// and split in the first half only, so that the last ones have time to learn.
     ///
     /// # Errors
     /// [`TrainError`]; the map is then as it was after the last good iteration.
@@ -195,8 +196,8 @@ impl Mapper {
         on_step: &mut dyn FnMut(&TrainStep),
     ) -> Result<(), TrainError> {
         self.poses = poses;
-        for _ in 0..iterations {
-            match self.step(Pick::Shuffled)? {
+        for i in 0..iterations {
+            match self.step(Pick::Shuffled, 2 * i < iterations)? {
                 Some(step) => on_step(&step),
                 None => break,
             }
@@ -205,7 +206,8 @@ impl Mapper {
         self.trainer.prune(&mut self.gaussians, min_opacity)
     }
 
-    fn step(&mut self, pick: Pick) -> Result<Option<TrainStep>, TrainError> {
+    fn step(&mut self, pick: Pick, grow: bool) -> Result<Option<TrainStep>, TrainError> {
+        let grow = Some(&self.config.densify).filter(|config| grow && config.enabled);
         let poses = &self.poses;
         let extent_m = extent_m(poses);
         let pose_of = |k: KeyframeId| poses.get(k.index()).copied().unwrap_or_default();
@@ -215,7 +217,7 @@ impl Mapper {
             pose_of,
             extent_m,
             &self.config.train,
-            &self.config.densify,
+            grow,
             self.par,
         )
     }

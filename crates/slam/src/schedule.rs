@@ -202,3 +202,82 @@ impl fmt::Debug for Crew {
             .finish_non_exhaustive()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use garad_core::{Camera, DepthImage, KeyframeId, Par, RgbImage, Se3};
+
+    use super::*;
+    use crate::config::Config;
+
+    fn job(keyframe: u32, frame: u32) -> MappingJob {
+        MappingJob {
+            keyframe: KeyframeId(keyframe),
+            frame: FrameId(frame),
+            rgb: RgbImage::new(32, 24, [90, 120, 30]),
+            depth: DepthImage::new(32, 24, 2.0),
+            mask: None,
+            poses: vec![Se3::identity(); keyframe as usize + 1],
+            new_landmarks: Vec::new(),
+            iterations: 2,
+        }
+    }
+
+    fn schedule(beside: bool) -> Schedule {
+        let camera = Camera::pinhole((32, 24), [30.0, 30.0, 15.5, 11.5]).expect("valid");
+        let mapper = Mapper::new(&camera, &Config::default(), 0, Par::Seq).expect("valid");
+        Schedule::new(mapper, 5, beside)
+    }
+
+    /// Frame by frame: which keyframe's job is handed over when.
+    fn handovers(beside: bool) -> (Vec<(u32, MappingDone)>, Schedule) {
+        let mut schedule = schedule(beside);
+        let mut seen = Vec::new();
+        for frame in 0..12 {
+            while schedule.is_due(FrameId(frame)) {
+                let done = schedule.take().expect("alive").expect("due");
+                seen.push((frame, done));
+            }
+            for (keyframe, at) in [(0, 0), (1, 3), (2, 4)] {
+                if at == frame {
+                    schedule.submit(job(keyframe, at)).expect("alive");
+                }
+            }
+        }
+        schedule.come_home().expect("alive");
+        (seen, schedule)
+    }
+
+    #[test]
+    fn jobs_are_handed_over_at_fixed_frames_wherever_they_run() {
+        let (here, map_here) = handovers(false);
+        let when: Vec<_> = here.iter().map(|(f, d)| (*f, d.keyframe.0)).collect();
+        assert_eq!(when, [(5, 0), (8, 1), (9, 2)], "five frames later each");
+        let (beside, map_beside) = handovers(true);
+        assert_eq!(here, beside, "the same answers from a thread of its own");
+        assert!(
+            map_here.mapper().expect("home").gaussians()
+                == map_beside.mapper().expect("home").gaussians(),
+            "and the same map"
+        );
+    }
+
+    #[test]
+    fn a_mapper_at_work_is_not_to_be_looked_at() {
+        let mut schedule = schedule(true);
+        assert!(schedule.mapper().is_some(), "at rest before the first job");
+        schedule.submit(job(0, 0)).expect("alive");
+        assert!(schedule.mapper().is_none(), "at work");
+        schedule.take().expect("alive").expect("one job");
+        assert!(
+            schedule.take().expect("alive").is_none(),
+            "no second answer"
+        );
+        schedule.come_home().expect("alive");
+        assert_eq!(
+            schedule.mapper().expect("home").gaussians().len(),
+            48,
+            "8 x 6 samples"
+        );
+    }
+}

@@ -22,8 +22,15 @@ fn scene() -> Scene {
 /// Tracks the scene and trains for so many iterations. Returns the losses, too.
 fn trained(scene: &Scene, iterations: usize, par: Par) -> (Slam, Vec<f32>) {
     let mut config = Config::default();
+    config.train.per_keyframe = 0;
+    config.train.per_frame = 0;
     config.train.refine = iterations;
     config.train.uses_per_level = 0; // full size from the start: losses can be compared
+    run(scene, config, par)
+}
+
+/// Tracks the scene, maps beside it, and refines.
+fn run(scene: &Scene, config: Config, par: Par) -> (Slam, Vec<f32>) {
     let mut slam = Slam::new(scene.camera(), config, 0, par).expect("valid");
     for i in 0..scene.len() {
         let frame = scene.frame(i, Par::Seq);
@@ -84,11 +91,28 @@ fn training_makes_the_map_look_like_the_pictures() {
 #[test]
 fn any_number_of_threads_trains_the_same_map() {
     let scene = scene();
-    let (one, losses) = trained(&scene, 12, Par::Seq);
+    let mut config = Config::default();
+    config.keyframes.max_gap = 2; // jobs wait in line behind each other
+    config.schedule.handover_frames = 3;
+    config.train.per_keyframe = 8;
+    config.train.per_frame = 2;
+    config.train.refine = 150;
+    config.train.sh_every = 60;
+    config.densify.every = 40;
+    config.densify.pull = 2e-4;
+    let (one, losses) = run(&scene, config.clone(), Par::Seq);
+    let map = one.gaussians().expect("at rest");
+    assert!(one.map().keyframes().len() >= 3, "several jobs");
+    assert_eq!(map.sh_degree(), 3, "200 iterations and more");
     for threads in [2, 3] {
-        let (other, other_losses) = trained(&scene, 12, Par::Threads(threads));
+        let (other, other_losses) = run(&scene, config.clone(), Par::Threads(threads));
+        assert_eq!(
+            one.trajectory(),
+            other.trajectory(),
+            "{threads} threads: path"
+        );
         assert!(
-            one.gaussians().expect("at rest") == other.gaussians().expect("at rest"),
+            map == other.gaussians().expect("at rest"),
             "{threads} threads: map"
         );
         let bits = |l: &[f32]| l.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
@@ -98,4 +122,43 @@ fn any_number_of_threads_trains_the_same_map() {
             "{threads} threads: losses"
         );
     }
+}
+
+#[test]
+fn clones_and_children_come_and_faded_ones_go() {
+    let scene = scene();
+    let mut config = Config::default();
+    config.train.per_keyframe = 0;
+    config.train.per_frame = 0;
+    config.train.refine = 60;
+    config.train.uses_per_level = 0;
+    config.densify.every = 20;
+    config.densify.pull = 1e-4;
+    let (grown, _) = run(&scene, config.clone(), Par::Threads(2));
+    config.densify.enabled = false;
+    let (plain, _) = run(&scene, config.clone(), Par::Threads(2));
+    let count = |slam: &Slam| slam.gaussians().expect("at rest").len();
+    assert!(
+        count(&grown) > count(&plain),
+        "{} against {}",
+        count(&grown),
+        count(&plain)
+    );
+    let (dense, sparse) = (
+        error_of_last_frame(&grown, &scene),
+        error_of_last_frame(&plain, &scene),
+    );
+    assert!(dense < 1.05 * sparse, "no worse: {sparse} to {dense}");
+    config.densify.min_opacity = 0.6;
+    let (pruned, _) = run(&scene, config, Par::Threads(2));
+    let logits = &pruned.gaussians().expect("at rest").opacity_logits;
+    let faintest = logits.iter().copied().fold(f32::INFINITY, f32::min);
+    let least = (0.6f32 / 0.4).ln() - 1e-6;
+    assert!(faintest >= least, "none below: {faintest}");
+    assert!(
+        logits.len() < count(&plain),
+        "{} of {}",
+        logits.len(),
+        count(&plain)
+    );
 }

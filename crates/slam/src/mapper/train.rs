@@ -115,7 +115,8 @@ impl Trainer {
     }
 
     /// One iteration; `None` when there is no picture or no Gaussian. `extent_m` is the size of the
-    /// camera's path: it scales the steps of the means and says which Gaussians are large.
+    /// camera's path: it scales the steps of the means and says which Gaussians are large. Without
+    /// `grow` none is cloned, split or dropped.
     ///
     /// # Errors
     /// [`TrainError`]; the map is then as it was before the iteration.
@@ -126,7 +127,7 @@ impl Trainer {
         pose_of: impl Fn(KeyframeId) -> Se3,
         extent_m: f64,
         config: &TrainConfig,
-        grow: &DensifyConfig,
+        grow: Option<&DensifyConfig>,
         par: Par,
     ) -> Result<Option<TrainStep>, TrainError> {
         if map.is_empty() {
@@ -183,7 +184,7 @@ impl Trainer {
         }
         self.update(map, &gradients, extent_m, config)?;
         self.iterations += 1;
-        if grow.enabled {
+        if let Some(grow) = grow {
             self.densifier
                 .watch(&gradients.means2d, &rendered.radii, camera);
             if self.iterations.is_multiple_of(grow.every) {
