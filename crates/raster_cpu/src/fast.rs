@@ -35,8 +35,7 @@ use crate::render::{Include, RenderOptions, Rendered, check};
 use crate::view::View;
 
 /// Gaussians looked at by one task.
-const CHUNK: usize = CHUNK_U32 as usize;
-const CHUNK_U32: u32 = 1024;
+const CHUNK: usize = 1024;
 /// Tiles here are the footprint's cells, so that a footprint covers a tile or misses it.
 const TILE_PX: usize = FOOTPRINT_CELL_PX;
 /// Ranks are kept as f32 and exact below this.
@@ -157,10 +156,12 @@ pub fn backward(
     let bands = Bands::new(&splats, height.div_ceil(TILE_PX));
     let background = options.background.map(f32::from_f64);
 
-    let of_band = par.map(height.div_ceil(TILE_PX), |band| {
+    let mut sums = vec![Sums::default(); bands.len()];
+    let mut of_band = bands.cut(&mut sums);
+    par.for_each_chunk_mut(&mut of_band, 1, |band, of_band| {
         let list = bands.list(band);
         let columns = Columns::new(&splats, list, width.div_ceil(TILE_PX));
-        let mut sums = vec![Sums::default(); list.len()];
+        let sums = &mut *of_band[0];
         for column in 0..width.div_ceil(TILE_PX) {
             let places = columns.list(column);
             let (x0, y0) = (column * TILE_PX, band * TILE_PX);
@@ -184,11 +185,12 @@ pub fn backward(
                 |entry, part| sums[places[entry] as usize].add(part),
             );
         }
-        sums
     });
-    let sums = gather::over_bands(&splats, &bands, &of_band, par);
+    let total = gather::over_bands(&splats, &bands, &sums, par);
+    // Room for the gradients.
+    drop((splats, bands, sums));
     let clamp = options.clamp_gradient;
-    gather::to_map(map, &view, &rendered.projected, &sums, clamp, par)
+    gather::to_map(map, &view, &rendered.projected, &total, clamp, par)
 }
 
 /// The visible splats front to back, as the reference sorts them, and what the pixels read of
@@ -199,30 +201,38 @@ fn project_sorted(
     include: Include,
     par: Par,
 ) -> (Vec<Projected<f32>>, Vec<Splat>) {
-    let parts = par.map_chunks(map.len(), CHUNK, |range| {
-        let splats = project_range(map, view, include, range);
-        let keys: Vec<u32> = splats.iter().map(|s| s.depth_m.to_bits()).collect();
-        (splats, keys)
+    // What stays is given room before what goes, so that no hole is left between.
+    let mut projected = Vec::with_capacity(map.len());
+    let mut splats = Vec::with_capacity(map.len());
+    // Every chunk has places of its own, of which it fills the first.
+    let mut places = vec![Projected::NOTHING; map.len()];
+    let mut filled: Vec<_> = places.chunks_mut(CHUNK).map(|chunk| (0, chunk)).collect();
+    par.for_each_chunk_mut(&mut filled, 1, |chunk, filled| {
+        for (count, places) in filled {
+            let first = chunk * CHUNK;
+            let splats = project_range(map, view, include, first..first + places.len());
+            for (place, splat) in places.iter_mut().zip(splats) {
+                *place = splat;
+                *count += 1;
+            }
+        }
     });
-    // Numbers that ascend with the rows of the map: part, then place in it.
-    let numbered = parts.iter().zip(0u32..).flat_map(|((_, keys), part)| {
-        let numbers = part * CHUNK_U32..;
-        keys.iter().copied().zip(numbers)
+    // Numbers of places ascend with the rows of the map.
+    let numbered = filled.iter().zip((0u32..).step_by(CHUNK));
+    let numbered = numbered.flat_map(|((count, places), first)| {
+        let keys = places[..*count].iter().map(|s| s.depth_m.to_bits());
+        keys.zip(first..)
     });
     let order = sorted(numbered.collect());
-    let splat = |number: u32| parts[number as usize / CHUNK].0[number as usize % CHUNK];
-    let Some(&first) = order.first() else {
-        return (Vec::new(), Vec::new());
-    };
-    let mut projected = vec![splat(first); order.len()];
-    let mut splats = vec![Splat::default(); order.len()];
+    projected.resize(order.len(), Projected::NOTHING);
+    splats.resize(order.len(), Splat::default());
     let pieces = projected.chunks_mut(CHUNK).zip(splats.chunks_mut(CHUNK));
     let mut pieces: Vec<_> = pieces.zip(order.chunks(CHUNK)).collect();
     par.for_each_chunk_mut(&mut pieces, 1, |_, pieces| {
         for ((projected, splats), order) in pieces {
             // Copied first, in a loop that waits for many rows at a time.
             for (projected, &number) in projected.iter_mut().zip(*order) {
-                *projected = splat(number);
+                *projected = places[number as usize];
             }
             for (splat, projected) in splats.iter_mut().zip(projected.iter()) {
                 *splat = Splat::new(projected);

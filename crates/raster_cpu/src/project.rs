@@ -78,6 +78,28 @@ pub struct Projected<T> {
     pub footprint: PixelRect,
 }
 
+impl<T: Real> Projected<T> {
+    /// What a place holds before a splat is put there.
+    pub(crate) const NOTHING: Self = Self {
+        index: 0,
+        mean_px: [T::ZERO; 2],
+        depth_m: T::ZERO,
+        conic: [T::ZERO; 3],
+        shear: T::ZERO,
+        inv_var_y: T::ZERO,
+        sigma_px: [T::ZERO; 2],
+        opacity: T::ZERO,
+        color: [T::ZERO; 3],
+        radius_px: 0,
+        footprint: PixelRect {
+            x0: 0,
+            x1: 0,
+            y0: 0,
+            y1: 0,
+        },
+    };
+}
+
 /// The visible splats of a map, in map order.
 ///
 /// # Numerics
@@ -89,7 +111,7 @@ pub(crate) fn project<T: Real>(
     par: Par,
 ) -> Vec<Projected<T>> {
     par.map_chunks(map.len(), CHUNK, |range| {
-        project_range(map, view, include, range)
+        project_range(map, view, include, range).collect::<Vec<_>>()
     })
     .concat()
 }
@@ -100,14 +122,13 @@ pub(crate) fn project_range<T: Real>(
     view: &View<T>,
     include: Include,
     rows: std::ops::Range<usize>,
-) -> Vec<Projected<T>> {
-    rows.filter(|&i| match include {
+) -> impl Iterator<Item = Projected<T>> {
+    rows.filter(move |&i| match include {
         Include::All => true,
         Include::StaticOnly => map.label[i] == Label::Static,
         Include::DynamicOnly => map.label[i] == Label::Dynamic,
     })
     .filter_map(|i| project_one(map, i, view))
-    .collect()
 }
 
 /// One Gaussian, in the order of the formulas.

@@ -76,6 +76,27 @@ impl Bands {
         Self { starts, entries }
     }
 
+    /// Entries of all bands.
+    pub(crate) fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// `values`, one per entry, as a slice for each band.
+    pub(crate) fn cut<'a, A>(&self, mut values: &'a mut [A]) -> Vec<&'a mut [A]> {
+        let lengths = self.starts.windows(2).map(|w| w[1] - w[0]);
+        lengths.filter_map(|n| values.split_off_mut(..n)).collect()
+    }
+
+    /// Number of bands.
+    pub(crate) fn rows(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// Where a band's entries begin among all.
+    pub(crate) fn start(&self, band: usize) -> usize {
+        self.starts[band]
+    }
+
     /// The splats of a band; positions ascend.
     pub(crate) fn list(&self, band: usize) -> &[Entry] {
         &self.entries[self.starts[band]..self.starts[band + 1]]

@@ -17,28 +17,23 @@ const CHUNK: usize = 512;
 /// Splats fetched together.
 const BATCH: usize = 64;
 
-/// Adds up each splat's sums over the bands, upper band first. `of_band[b]` runs beside
-/// `bands.list(b)`.
-pub(crate) fn over_bands(
-    splats: &[Splat],
-    bands: &Bands,
-    of_band: &[Vec<Sums>],
-    par: Par,
-) -> Vec<Sums> {
+/// Adds up each splat's sums over the bands, upper band first. `sums` run beside the entries of
+/// `bands`.
+pub(crate) fn over_bands(splats: &[Splat], bands: &Bands, sums: &[Sums], par: Par) -> Vec<Sums> {
     let mut total = vec![Sums::default(); splats.len()];
     par.for_each_chunk_mut(&mut total, CHUNK, |chunk, total| {
         let first = chunk * CHUNK;
         // Lists are ascending: a chunk's splats stand together in each.
-        let mut next: Vec<usize> = (0..of_band.len())
+        let mut next: Vec<usize> = (0..bands.rows())
             .map(|band| {
                 let list = bands.list(band);
-                list.partition_point(|entry| (entry.position as usize) < first)
+                bands.start(band) + list.partition_point(|entry| (entry.position as usize) < first)
             })
             .collect();
         for (total, splat) in total.iter_mut().zip(&splats[first..]) {
             for band in splat.cells[2]..splat.cells[3] {
                 let next = &mut next[usize::from(band)];
-                total.add(&of_band[usize::from(band)][*next]);
+                total.add(&sums[*next]);
                 *next += 1;
             }
         }
