@@ -196,8 +196,8 @@ pub enum ThinEvidence {
 pub struct KernelConfig {
     /// ω¹ of the feature kernel. With row-normalised kernels, the most it can add to a log-odds.
     ///
-    /// 1 and 3 converge within ten iterations; LC-CRF's 10 and 30 do not (after its five, beliefs
-    /// still move by 0.7) and cost recall.
+    /// With 1 and 3 the beliefs are all but settled after ten iterations. LC-CRF's 10 and 30, over its
+    /// hard labels, are still moving after its five, so that a label depends on when one stops.
     pub feature_weight: f64,
     /// σ_α of eq. 5, px of reprojection error.
     pub sigma_reproj_px: f64,

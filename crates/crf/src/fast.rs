@@ -3,7 +3,7 @@
 //! | kernel | structure | how |
 //! |---|---|---|
 //! | feature, eq. 5 | two numbers, one of them an integer | [`features`]: through a grid of Chebyshev points, O(N) |
-//! | position, eq. 6 | five numbers, short range | [`blocks`] of 32 x 32 pairs, those that are surely small left out |
+//! | position, eq. 6 | five numbers, short range | [`blocks`] of 16 x 16 pairs, those that are surely small left out |
 //!
 //! Reading order: [`exp`] → [`tree`] (which nodes form a block) → [`blocks`] → [`features`].
 //! All in f64, multiplications, additions and comparisons in an order that is fixed: the same bits
@@ -29,7 +29,7 @@ pub(crate) struct Fast {
 }
 
 impl Fast {
-    /// `tail`: pairs whose position kernel is surely below it may be left out.
+    /// A kernel of weight 0 is given no nodes, as nobody asks for its sums. `tail`: pairs whose position kernel is surely below it may be left out.
     pub(crate) fn new(
         nodes: &[Node],
         kernels: &KernelConfig,
@@ -37,9 +37,14 @@ impl Fast {
         tail: f64,
         par: Par,
     ) -> Self {
+        let needed = |weight: f64| if weight > 0.0 { nodes } else { &[] };
+        let (alike, near) = (
+            needed(kernels.feature_weight),
+            needed(kernels.position_weight),
+        );
         Self {
-            features: FeatureSums::new(nodes, kernels, config.self_message),
-            positions: PositionSums::new(nodes, kernels, config.self_message, tail, par),
+            features: FeatureSums::new(alike, kernels, config.self_message),
+            positions: PositionSums::new(near, kernels, config.self_message, tail, par),
         }
     }
 }

@@ -211,6 +211,20 @@ fn a_person_is_found_and_the_room_is_kept() {
     );
 }
 
+/// What the documentation of the weights says.
+#[test]
+fn small_weights_settle_and_large_ones_do_not() {
+    let nodes = room(600, 5);
+    let mut config = CrfConfig::default();
+    let settled = infer(&config, &nodes, Par::Seq).last_change;
+    config.unary.decision = CrfConfig::lc_crf().unary.decision;
+    config.kernels.feature_weight = 10.0;
+    config.kernels.position_weight = 30.0;
+    config.mean_field.iterations = 5;
+    let moving = infer(&config, &nodes, Par::Seq).last_change;
+    assert!(settled < 0.06 && moving > 0.3, "{settled}, {moving}");
+}
+
 /// A small field without normalisation, as couplings written out.
 fn written_out(nodes: &[Node], log_odds: &[f64], config: &CrfConfig) -> SmallCrf {
     let k = &config.kernels;

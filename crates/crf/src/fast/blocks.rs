@@ -1,4 +1,4 @@
-//! Sums of the position kernel, 32 x 32 pairs at a time.
+//! Sums of the position kernel, 16 x 16 pairs at a time.
 //!
 //! Two groups of nodes whose bounding boxes are so far apart that every kernel value between them
 //! is below `tail` are left out; |A| times the largest value possible is what each node of B may
@@ -25,8 +25,8 @@ type Row = [f64x4; VECTORS];
 /// Kernel values; a row per node of the first group.
 type Block = [Row; GROUP];
 
-/// Blocks kept in memory, 8 KiB each: 512 MiB. 5 000 nodes need at most 12 000.
-const MAX_KEPT: usize = 65_536;
+/// Blocks kept in memory, 2 KiB each: 512 MiB. 5 000 nodes need at most 49 000.
+const MAX_KEPT: usize = 262_144;
 /// Pieces into which the pairs of groups are cut, whatever the number of threads.
 const PIECES: usize = 48;
 /// Exponents below this give 0, see [`exp_nonpositive`].

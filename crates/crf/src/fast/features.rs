@@ -70,6 +70,7 @@ impl FeatureSums {
         let mut cells: Vec<i64> = with_features().map(|(_, x, _)| cell_of(x).0).collect();
         cells.sort_unstable();
         cells.dedup();
+        let polynomials = Lagrange::new();
         let mut population = vec![0; rows.len() * cells.len()];
         let members: Vec<Member> = with_features()
             .filter_map(|(node, x, gamma)| {
@@ -77,7 +78,7 @@ impl FeatureSums {
                 let row = rows.binary_search(&gamma).ok()?;
                 let cell = cells.binary_search(&number).ok()?;
                 population[row * cells.len() + cell] += 1;
-                let lagrange = lagrange(y);
+                let lagrange = polynomials.at(y);
                 Some(Member {
                     node,
                     row,
@@ -227,20 +228,34 @@ fn points() -> Points {
     std::array::from_fn(|a| 0.5 * libm::cos((a as f64 + 0.5) * PI / P as f64))
 }
 
-/// L_a(y) at all points a, by the barycentric formula: with w_a = (-1)^a sin((a + 1/2) π / P),
-/// L_a = (w_a / (y - t_a)) / Σ_b w_b / (y - t_b).
-fn lagrange(y: f64) -> Points {
-    let t = points();
-    if let Some(a) = t.iter().position(|t| (y - t).abs() < f64::MIN_POSITIVE) {
-        return std::array::from_fn(|b| if a == b { 1.0 } else { 0.0 });
+/// The points with their barycentric weights (-1)^a sin((a + 1/2) π / P).
+struct Lagrange {
+    t: Points,
+    weights: Points,
+}
+
+impl Lagrange {
+    fn new() -> Self {
+        let sine = |a: usize| libm::sin((a as f64 + 0.5) * PI / P as f64);
+        Self {
+            t: points(),
+            weights: std::array::from_fn(|a| if a % 2 == 0 { sine(a) } else { -sine(a) }),
+        }
     }
-    let terms: Points = std::array::from_fn(|a| {
-        let weight = libm::sin((a as f64 + 0.5) * PI / P as f64);
-        let signed = if a % 2 == 0 { weight } else { -weight };
-        signed / (y - t[a])
-    });
-    let sum = terms.iter().fold(0.0, |sum, term| sum + term);
-    terms.map(|term| term / sum)
+
+    /// L_a(y) at all points a: (w_a / (y - t_a)) / Σ_b w_b / (y - t_b).
+    fn at(&self, y: f64) -> Points {
+        if let Some(a) = self
+            .t
+            .iter()
+            .position(|t| (y - t).abs() < f64::MIN_POSITIVE)
+        {
+            return std::array::from_fn(|b| if a == b { 1.0 } else { 0.0 });
+        }
+        let terms: Points = std::array::from_fn(|a| self.weights[a] / (y - self.t[a]));
+        let sum = terms.iter().fold(0.0, |sum, term| sum + term);
+        terms.map(|term| term / sum)
+    }
 }
 
 #[cfg(test)]
@@ -249,9 +264,9 @@ mod tests {
 
     #[test]
     fn polynomials_of_degree_fifteen_are_reproduced() {
-        let t = points();
+        let (t, polynomials) = (points(), Lagrange::new());
         for y in [-0.5, -0.3, 0.0, 0.123_456, t[3], t[3] + 1e-17, 0.5] {
-            let l = lagrange(y);
+            let l = polynomials.at(y);
             let power = |y: f64, degree| (0..degree).fold(1.0, |product, _| product * (2.0 * y));
             for degree in 0..P {
                 let got: f64 = (0..P).map(|a| l[a] * power(t[a], degree)).sum();
@@ -268,12 +283,12 @@ mod tests {
     /// The bound of C4, on a grid of both arguments and all distances of cells.
     #[test]
     fn interpolated_kernel_is_within_its_bound() {
-        let t = points();
+        let (t, polynomials) = (points(), Lagrange::new());
         let mut worst = 0.0f64;
         for step in -REACH..=REACH {
             for x in (0..=40).map(|k| f64::from(k) / 40.0 - 0.5) {
                 for y in (0..=40).map(|k| f64::from(k) / 40.0 - 0.5) {
-                    let (l_x, l_y) = (lagrange(x), lagrange(y));
+                    let (l_x, l_y) = (polynomials.at(x), polynomials.at(y));
                     let mut got = 0.0;
                     for a in 0..P {
                         for b in 0..P {
