@@ -23,7 +23,7 @@ pub struct Comparison {
     /// What is there.
     pub got: f64,
     /// Judged by.
-    pub tolerance: &'static Tolerance,
+    pub tolerance: Tolerance,
 }
 
 impl fmt::Display for Comparison {
@@ -63,7 +63,7 @@ pub struct CountMismatch {
 pub fn compare(
     expected: &Tensor,
     got: &[f64],
-    tolerance: &'static Tolerance,
+    tolerance: &Tolerance,
 ) -> Result<Comparison, CountMismatch> {
     let values = expected.f64();
     if values.len() != got.len() {
@@ -82,7 +82,7 @@ pub fn compare(
         worst_index: Vec::new(),
         expected: values.first().copied().unwrap_or(0.0),
         got: got.first().copied().unwrap_or(0.0),
-        tolerance,
+        tolerance: *tolerance,
     };
     // For a band, `worst` is measured by the hard bound and `outside` by the tight one.
     let limit = match tolerance.class {
@@ -161,16 +161,16 @@ fn ulps_apart(dtype: Dtype, a: f64, b: f64) -> f64 {
 mod tests {
     use super::*;
 
-    fn tolerance(class: Class) -> &'static Tolerance {
-        Box::leak(Box::new(Tolerance {
+    fn tolerance(class: Class) -> Tolerance {
+        Tolerance {
             name: "test",
             class,
             reason: "test",
-        }))
+        }
     }
 
     fn verdict(class: Class, expected: &[f64], got: &[f64]) -> Comparison {
-        compare(&Tensor::from(expected.to_vec()), got, tolerance(class)).unwrap()
+        compare(&Tensor::from(expected.to_vec()), got, &tolerance(class)).unwrap()
     }
 
     #[test]
@@ -178,7 +178,7 @@ mod tests {
         let expected = Tensor::from(vec![1.0; 6]).reshape(&[2, 3]).unwrap();
         let class = Class::AbsRel { abs: 0.5, rel: 0.5 };
         let got = [1.0, 1.5, 1.0, 1.0, 1.0, 3.0];
-        let c = compare(&expected, &got, tolerance(class)).unwrap();
+        let c = compare(&expected, &got, &tolerance(class)).unwrap();
         assert!(
             !c.passed && c.outside == 1 && c.worst_index == [1, 2],
             "{c}"
@@ -250,7 +250,7 @@ mod tests {
         );
         let single = Tensor::from_bytes(Dtype::F32, vec![1], 1.0f32.to_le_bytes().into()).unwrap();
         let next = f64::from(1.0 + f32::EPSILON);
-        let c = compare(&single, &[next], tolerance(Class::Ulp(1))).unwrap();
+        let c = compare(&single, &[next], &tolerance(Class::Ulp(1))).unwrap();
         assert!(c.passed, "counted in f32: {c}");
     }
 
@@ -307,7 +307,7 @@ mod tests {
     fn counts_must_agree() {
         let tensor = Tensor::from(vec![1.0, 2.0]);
         assert!(
-            compare(&tensor, &[1.0], tolerance(Class::Exact)).is_err(),
+            compare(&tensor, &[1.0], &tolerance(Class::Exact)).is_err(),
             "one short"
         );
         assert!(

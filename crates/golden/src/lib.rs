@@ -17,12 +17,15 @@
 
 pub mod case;
 pub mod compare;
+pub mod error;
+mod manifest;
 pub mod npy;
 pub mod tensor;
 pub mod tol;
 
-pub use case::{Case, GoldenError};
+pub use case::Case;
 pub use compare::Comparison;
+pub use error::GoldenError;
 pub use npy::NpyError;
 pub use tensor::{Dtype, Tensor};
 pub use tol::{Class, Tolerance};
