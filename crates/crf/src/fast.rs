@@ -52,7 +52,7 @@ impl Fast {
 impl KernelSums for Fast {
     fn sums(&self, kernel: Kernel, s: &[f64], par: Par) -> Vec<f64> {
         match kernel {
-            Kernel::Feature => self.features.sums(s),
+            Kernel::Feature => self.features.sums(s, par),
             Kernel::Position => self.positions.sums(s, par),
         }
     }

@@ -211,6 +211,48 @@ fn a_person_is_found_and_the_room_is_kept() {
     );
 }
 
+/// Errors and counts so far apart that no two nodes share a cell: no grid, the same answer.
+#[test]
+fn scattered_features() {
+    let mut nodes = room(400, 7);
+    for (i, node) in nodes.iter_mut().enumerate() {
+        let far = u32::try_from(i).expect("small");
+        node.cues.reproj_px = Some(3.0 * f64::from(far % 397));
+        node.cues.observations = Some(2 + far);
+    }
+    for self_message in [true, false] {
+        let mut config = with_method(&CrfConfig::default(), Method::Reference);
+        config.mean_field.self_message = self_message;
+        let exact = infer(&config, &nodes, Par::Seq);
+        let fast = infer(
+            &with_method(&config, Method::Fast { tail: 0.0 }),
+            &nodes,
+            Par::Threads(2),
+        );
+        assert!(
+            furthest(&fast, &exact) < 1e-12,
+            "{}",
+            furthest(&fast, &exact)
+        );
+        // A few of them fit into a grid.
+        let few = &nodes[..60];
+        let (exact, fast) = (
+            infer(&config, few, Par::Seq),
+            infer(
+                &with_method(&config, Method::Fast { tail: 0.0 }),
+                few,
+                Par::Seq,
+            ),
+        );
+        let bound = fast.error_bound + exact.error_bound;
+        assert!(
+            furthest(&fast, &exact) <= bound,
+            "{} > {bound}",
+            furthest(&fast, &exact)
+        );
+    }
+}
+
 /// What the documentation of the weights says.
 #[test]
 fn small_weights_settle_and_large_ones_do_not() {

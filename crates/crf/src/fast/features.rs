@@ -13,6 +13,8 @@
 
 use std::f64::consts::PI;
 
+use garad_core::Par;
+
 use crate::config::KernelConfig;
 use crate::cues::Node;
 use crate::kernel::features;
@@ -26,6 +28,10 @@ const INTERPOLATION: f64 = 5e-16;
 /// Rounding of one interpolated kernel value: about 60 operations on sums whose absolute values
 /// are up to 2.8² times the value.
 const ROUNDING: f64 = 500.0 * f64::EPSILON;
+
+/// Up to this many boxes (row, cell), and 64 per node on top, are a grid; with more, the nodes are so
+/// scattered that looking at pairs is no worse and needs no memory.
+const MAX_BOXES: usize = 65_536;
 
 /// One number per point of a cell.
 type Points = [f64; P];
@@ -41,8 +47,105 @@ struct Member {
     size: f64,
 }
 
-/// The feature kernel between all nodes.
-pub(crate) struct FeatureSums {
+/// The feature kernel between all nodes: through the grid, or pair by pair.
+pub(crate) enum FeatureSums {
+    Grid(Grid),
+    Pairs(Pairs),
+}
+
+impl FeatureSums {
+    pub(crate) fn new(nodes: &[Node], config: &KernelConfig, self_message: bool) -> Self {
+        let pairs = Pairs::new(nodes, config, self_message);
+        let mut rows: Vec<u32> = pairs.members.iter().map(|m| m.gamma).collect();
+        rows.sort_unstable();
+        rows.dedup();
+        let mut cells: Vec<i64> = pairs.members.iter().map(|m| cell_of(m.x).0).collect();
+        cells.sort_unstable();
+        cells.dedup();
+        if rows.len().saturating_mul(cells.len()) > MAX_BOXES + 64 * pairs.members.len() {
+            Self::Pairs(pairs)
+        } else {
+            Self::Grid(Grid::new(&pairs, rows, cells))
+        }
+    }
+
+    /// Bound on the error of each node's sum for |s| ≤ 1.
+    pub(crate) fn left_out(&self) -> Vec<f64> {
+        match self {
+            Self::Grid(grid) => grid.left_out(),
+            Self::Pairs(pairs) => vec![0.0; pairs.n],
+        }
+    }
+
+    /// Σⱼ k(i, j) sⱼ for each node i.
+    pub(crate) fn sums(&self, s: &[f64], par: Par) -> Vec<f64> {
+        match self {
+            Self::Grid(grid) => grid.sums(s),
+            Self::Pairs(pairs) => pairs.sums(s, par),
+        }
+    }
+}
+
+/// Both features of a node.
+struct Features {
+    node: usize,
+    /// α / σ_α.
+    x: f64,
+    gamma: u32,
+}
+
+/// All nodes that have both features.
+pub(crate) struct Pairs {
+    n: usize,
+    self_message: bool,
+    sigma_observations: f64,
+    members: Vec<Features>,
+}
+
+impl Pairs {
+    fn new(nodes: &[Node], config: &KernelConfig, self_message: bool) -> Self {
+        let members = nodes.iter().enumerate().filter_map(|(node, of)| {
+            let (alpha, gamma) = features(of)?;
+            let x = alpha / config.sigma_reproj_px;
+            Some(Features { node, x, gamma })
+        });
+        Self {
+            n: nodes.len(),
+            self_message,
+            sigma_observations: config.sigma_observations,
+            members: members.collect(),
+        }
+    }
+
+    /// -(γ - γ')² / 2σ_γ².
+    fn between_rows(&self, a: u32, b: u32) -> f64 {
+        let delta = (f64::from(a) - f64::from(b)) / self.sigma_observations;
+        -0.5 * (delta * delta)
+    }
+
+    fn sums(&self, s: &[f64], par: Par) -> Vec<f64> {
+        let of_members = par.map(self.members.len(), |i| {
+            let own = &self.members[i];
+            let mut sum = 0.0;
+            for (j, other) in self.members.iter().enumerate() {
+                if j != i || self.self_message {
+                    let delta = own.x - other.x;
+                    let exponent = self.between_rows(own.gamma, other.gamma);
+                    sum += libm::exp(exponent - 0.5 * (delta * delta)) * s[other.node];
+                }
+            }
+            sum
+        });
+        let mut sums = vec![0.0; self.n];
+        for (member, sum) in self.members.iter().zip(of_members) {
+            sums[member.node] = sum;
+        }
+        sums
+    }
+}
+
+/// The kernel through points.
+pub(crate) struct Grid {
     n: usize,
     self_message: bool,
     members: Vec<Member>,
@@ -56,47 +159,31 @@ pub(crate) struct FeatureSums {
     carry: Vec<[Points; P]>,
 }
 
-impl FeatureSums {
-    pub(crate) fn new(nodes: &[Node], config: &KernelConfig, self_message: bool) -> Self {
-        let with_features = || {
-            let nodes = nodes.iter().enumerate();
-            nodes.filter_map(|(i, node)| {
-                features(node).map(|(alpha, gamma)| (i, alpha / config.sigma_reproj_px, gamma))
-            })
-        };
-        let mut rows: Vec<u32> = with_features().map(|(.., gamma)| gamma).collect();
-        rows.sort_unstable();
-        rows.dedup();
-        let mut cells: Vec<i64> = with_features().map(|(_, x, _)| cell_of(x).0).collect();
-        cells.sort_unstable();
-        cells.dedup();
+impl Grid {
+    /// `rows` and `cells`: what the members' γ and x fall into, ascending.
+    fn new(of: &Pairs, rows: Vec<u32>, cells: Vec<i64>) -> Self {
         let polynomials = Lagrange::new();
         let mut population = vec![0; rows.len() * cells.len()];
-        let members: Vec<Member> = with_features()
-            .filter_map(|(node, x, gamma)| {
-                let (number, y) = cell_of(x);
-                let row = rows.binary_search(&gamma).ok()?;
-                let cell = cells.binary_search(&number).ok()?;
-                population[row * cells.len() + cell] += 1;
-                let lagrange = polynomials.at(y);
-                Some(Member {
-                    node,
-                    row,
-                    cell,
-                    lagrange,
-                    size: x.abs(),
-                })
+        let members = of.members.iter().filter_map(|m| {
+            let (number, y) = cell_of(m.x);
+            let row = rows.binary_search(&m.gamma).ok()?;
+            let cell = cells.binary_search(&number).ok()?;
+            population[row * cells.len() + cell] += 1;
+            Some(Member {
+                node: m.node,
+                row,
+                cell,
+                lagrange: polynomials.at(y),
+                size: m.x.abs(),
             })
-            .collect();
-        let g = |a: u32, b: u32| {
-            let delta = (f64::from(a) - f64::from(b)) / config.sigma_observations;
-            libm::exp(-0.5 * (delta * delta))
-        };
+        });
+        let members = members.collect();
+        let g = |a: u32, b: u32| libm::exp(of.between_rows(a, b));
         let t = points();
         let kernel = |delta: f64| libm::exp(-0.5 * (delta * delta));
         Self {
-            n: nodes.len(),
-            self_message,
+            n: of.n,
+            self_message: of.self_message,
             members,
             between_rows: rows
                 .iter()
@@ -123,7 +210,7 @@ impl FeatureSums {
 
     /// Bound on the error of each node's sum for |s| ≤ 1, from what interpolation and rounding do
     /// to each pair.
-    pub(crate) fn left_out(&self) -> Vec<f64> {
+    fn left_out(&self) -> Vec<f64> {
         let columns = self.cells.len();
         // Per (row, cell): the number of nodes that are heard, in full and by the largest value that
         // the kernel can have between the cells.
@@ -154,7 +241,7 @@ impl FeatureSums {
     }
 
     /// Σⱼ k(i, j) sⱼ for each node i.
-    pub(crate) fn sums(&self, s: &[f64]) -> Vec<f64> {
+    fn sums(&self, s: &[f64]) -> Vec<f64> {
         let columns = self.cells.len();
         let mut gathered = vec![[0.0; P]; self.population.len()];
         for m in &self.members {
