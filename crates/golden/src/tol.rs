@@ -173,13 +173,51 @@ pub const TABLE: &[Tolerance] = &[
     abs_rel("dataset.rotation", 1e-15, 0.0, "entries of R, three products of unit quaternions against three of matrices"),
     abs_rel("dataset.translation", 2e-15, 0.0, "m: positions of size 3, spacing 4.4e-16, and a lever of 2 cm"),
     // unary, kernel, mean_field, label_window
-    abs_rel("crf.unary", 0.0, 1e-14, "mean of four exponentials, each a few roundings of its exponent away"),
-    abs_rel("crf.log_odds", 1e-13, 1e-14, "ln P and ln(1 - P), both at most 7"),
-    abs_rel("crf.kernel", 1e-15, 1e-14, "an exponential; its exponent of up to 37 is rounded to 7e-15"),
-    abs_rel("crf.q", 1e-10, 0.0, "a rounding of 1e-15 per sum, grown by up to (w1 + w2) / 2 per iteration"),
-    abs_rel("crf.energy", 1e-12, 1e-13, "a sum of 66 couplings"),
+    abs_rel("crf.unary", 0.0, 4e-15, "measured 1.6e-15: mean of four exponentials, each a few roundings of its exponent away"),
+    abs_rel("crf.log_odds", 1e-13, 1e-14, "ln(1 - P) where 1 - P is 1e-3: a rounding of P counts a thousandfold"),
+    abs_rel("crf.kernel", 1e-15, 0.0, "measured 5e-16: k times a few roundings of its exponent, which is largest at k = 1/e"),
+    abs_rel("crf.q", 1e-13, 0.0, "a sum over 64 nodes may lose 7e-15; undecided nodes pass on a little more than they hear"),
+    abs_rel("crf.energy", 1e-14, 1e-15, "measured 4e-15: a sum of up to 2016 couplings"),
     abs_rel("crf.score", 1e-15, 0.0, "a quotient of small whole numbers"),
 ];
+
+/// Unit roundoff of f32 over that of f64, 2^29.
+pub const F32_OVER_F64: f64 = 536_870_912.0;
+
+/// Up to here a tolerance is rounding and grows with the unit roundoff.
+const LARGEST_ROUNDING: f64 = 1e-12;
+
+/// What an answer in f32 is held to where the expected value is one of f64.
+///
+/// The first of these that exists: the stage's own entry `STAGE.f32.OUTPUT_FLAG` for a flag of
+/// the case, `STAGE.f32.OUTPUT`, the entry of the same name with `f32` in the middle. Else, where the
+/// tolerance counts roundings (at most 1e-12), 2²⁹ times that; else the tolerance as it is, which
+/// few answers in f32 will meet.
+#[must_use]
+pub fn for_f32(stage: &str, output: &str, flags: &[String], wide: &Tolerance) -> Tolerance {
+    let flagged = flags.iter().map(|flag| format!("{stage}.f32.{output}_{flag}"));
+    let own = format!("{stage}.f32.{output}");
+    let renamed = wide.name.replacen('.', ".f32.", 1);
+    let mut names = flagged.chain([own, renamed]);
+    if let Some(tolerance) = names.find_map(|name| find(&name)) {
+        return *tolerance;
+    }
+    let rounding = |abs: f64, rel: f64| abs.max(rel) <= LARGEST_ROUNDING;
+    let (abs_rel, abs, rel) = match wide.class {
+        Class::AbsRel { abs, rel } if rounding(abs, rel) => (true, abs, rel),
+        Class::Vector { abs, rel } if rounding(abs, rel) => (false, abs, rel),
+        _ => return *wide,
+    };
+    let [abs, rel] = [abs, rel].map(|v| v * F32_OVER_F64);
+    Tolerance {
+        class: if abs_rel {
+            Class::AbsRel { abs, rel }
+        } else {
+            Class::Vector { abs, rel }
+        },
+        ..*wide
+    }
+}
 
 /// The entry of this name.
 #[must_use]
@@ -201,5 +239,27 @@ mod tests {
             );
             assert!(entry.reason.len() > 5, "{}: why?", entry.name);
         }
+    }
+
+    #[test]
+    fn answers_in_f32_have_their_own_numbers() {
+        let flags = ["flat".to_owned()];
+        let of = |stage, output, name: &str, flags: &[String]| {
+            for_f32(stage, output, flags, find(name).unwrap())
+        };
+        let named = |stage, output, name| of(stage, output, name, &[]).name;
+        let value = of("losses", "value", "losses.value", &flags).name;
+        assert_eq!(value, "losses.f32.value_flat", "by the flag");
+        let value = named("losses", "value", "losses.value");
+        assert_eq!(value, "losses.f32.value", "by the output");
+        let color = named("raster", "splat_color", "raster.color");
+        assert_eq!(color, "raster.f32.color", "by the name");
+        assert_eq!(named("raster", "order", "exact"), "exact", "orders have no width");
+        let Class::AbsRel { abs, .. } = of("se3", "rotation", "se3.rotation", &[]).class else {
+            panic!("the same class");
+        };
+        assert!((abs - 5.4e-7).abs() < 1e-8, "1e-15 x 2^29 is {abs:e}");
+        let kept = of("pose_lm", "rotation", "pose.pose", &[]);
+        assert_eq!(kept, *find("pose.pose").unwrap(), "1e-8 is no rounding");
     }
 }
