@@ -177,6 +177,7 @@ pub const TABLE: &[Tolerance] = &[
     abs_rel("crf.log_odds", 1e-13, 1e-14, "ln(1 - P) where 1 - P is 1e-3: a rounding of P counts a thousandfold"),
     abs_rel("crf.kernel", 1e-15, 0.0, "measured 5e-16: k times a few roundings of its exponent, which is largest at k = 1/e"),
     abs_rel("crf.q", 1e-13, 0.0, "a sum over 64 nodes may lose 7e-15; undecided nodes pass on a little more than they hear"),
+    abs_rel("crf.f32.q", 2e-4, 0.0, "as crf.q: kernels in f32 lose 1e-6 per sum and pass it on"),
     abs_rel("crf.energy", 1e-14, 1e-15, "measured 4e-15: a sum of up to 2016 couplings"),
     abs_rel("crf.score", 1e-15, 0.0, "a quotient of small whole numbers"),
 ];

@@ -25,7 +25,7 @@ type Row = [f64x4; VECTORS];
 /// Kernel values; a row per node of the first group.
 type Block = [Row; GROUP];
 
-/// Blocks kept in memory, 2 KiB each: 512 MiB. 5 000 nodes need at most 49 000.
+/// Blocks kept in memory, 2 KiB each: 512 MiB. 5 000 nodes need at most 49 141.
 const MAX_KEPT: usize = 262_144;
 /// Pieces into which the pairs of groups are cut, whatever the number of threads.
 const PIECES: usize = 48;

@@ -12,8 +12,8 @@ use nalgebra::Vector3;
 use crate::config::{Distance, KernelConfig, PositionTerms};
 use crate::cues::Node;
 
-/// Nodes per group. Larger groups leave less out, smaller ones cost more per pair; of 8, 16, 32 this
-/// is the fastest.
+/// Nodes per group. Larger groups leave less out, smaller ones cost more per pair: 8 and 16 take the
+/// same time on a room of 5 000 nodes, 32 a third more.
 pub(crate) const GROUP: usize = 16;
 /// Numbers that say where a node is: x, y, z in metres, u, v in px.
 pub(crate) const DIMENSIONS: usize = 5;
