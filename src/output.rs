@@ -58,6 +58,9 @@ impl Judged {
             metrics.map.dynamic = Some(dynamic.count());
         }
 
+        if let Some(labels) = &result.labels {
+            metrics.labels = labels.metrics();
+        }
         let options = AteOptions::default();
         let (ate, protocol) = match ground_truth {
             None => (None, "cannot be judged: no ground truth".to_owned()),
@@ -117,6 +120,20 @@ impl Judged {
             lines.push(format!(
                 "           depth L1 {l1_m:.4} m over {:.1} % of the measured pixels",
                 100.0 * coverage
+            ));
+        }
+        if let Some(ghosts) = m.render_depth.ghosts {
+            lines.push(format!(
+                "           ghosts {:.2} % of the static pixels (more than 10 cm in front)",
+                100.0 * ghosts
+            ));
+        }
+        if let (Some(f1), Some(iou)) = (m.labels.keypoints.f1, m.labels.pixels.iou) {
+            let of = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.3}"));
+            lines.push(format!(
+                "labels     keypoints F1 {f1:.3} (precision {}, recall {}); mask IoU {iou:.3}",
+                of(m.labels.keypoints.precision),
+                of(m.labels.keypoints.recall)
             ));
         }
         match &self.ate {

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use garad_core::undistort::Undistortion;
 use garad_core::{Camera, Distortion, GaussianMap, Par, RgbImage, StampedPose};
-use garad_eval::{DepthMetrics, RenderMetrics, compare_pictures, depth_l1};
+use garad_eval::{DepthMetrics, GHOST_GAP_M, RenderMetrics, compare_pictures, depth_l1, ghosts};
 use garad_raster::{Include, RenderOptions, fast};
 
 use crate::progress::Progress;
@@ -59,10 +59,15 @@ pub fn judge(
         let color = crate::pictures::color_picture(&rendered);
         let truth = straightened(&straight, &frame.rgb, par);
         all.add(compare_pictures(&color, &truth, Some(&unseen), par)?);
-        let mask = frame.mask.as_ref().map(|m| straight.nearest(m, 255));
+        let mask = frame.truth.as_ref().or(frame.mask.as_ref());
+        let mask = mask.map(|m| straight.nearest(m, 255));
         let measured = straight.nearest(&frame.depth, 0.0);
-        if let Ok(error) = depth_l1(&rendered.normalized_depth(), &measured, mask.as_ref()) {
+        let drawn = rendered.normalized_depth();
+        if let Ok(error) = depth_l1(&drawn, &measured, mask.as_ref()) {
             depth.add(error);
+        }
+        if let Ok(found) = ghosts(&drawn, &measured, mask.as_ref(), GHOST_GAP_M) {
+            depth.ghosts += found.fraction;
         }
         if let Some(mask) = mask
             && let Ok(quality) = compare_pictures(&color, &truth, Some(&mask), par)
@@ -127,6 +132,7 @@ impl Sums {
 struct DepthSums {
     l1_m: f64,
     coverage: f64,
+    ghosts: f64,
     count: usize,
 }
 
@@ -142,6 +148,7 @@ impl DepthSums {
         DepthMetrics {
             l1_m: mean(self.l1_m),
             coverage: mean(self.coverage),
+            ghosts: mean(self.ghosts),
         }
     }
 }

@@ -4,6 +4,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use garad_core::{Camera, GaussianMap, Label, MaskImage, Par, RgbImage, StampedPose};
+use garad_eval::{Confusion, RunLabels};
+use garad_slam::labels::FrameLabels;
 use garad_slam::{Config, FrameInput, FrameReport, Slam, TrackingState};
 
 use crate::progress::Progress;
@@ -18,8 +20,10 @@ pub struct SourceFrame {
     pub rgb: RgbImage,
     /// Metres.
     pub depth: garad_core::DepthImage,
-    /// 255 where something moves.
+    /// 255 where something moves; taken for true instead of finding out.
     pub mask: Option<MaskImage>,
+    /// 255 where something moves, 0 where nothing does; what labels are judged by.
+    pub truth: Option<MaskImage>,
 }
 
 /// What a run is made with.
@@ -58,7 +62,7 @@ pub struct Snapshot {
     pub t_s: f64,
     /// The input.
     pub rgb: RgbImage,
-    /// The mask given with it.
+    /// What was found, or given, to move.
     pub mask: Option<MaskImage>,
     /// Keypoints (x, y) and what they were taken for.
     pub keypoints: Vec<(f32, f32, KeypointRole)>,
@@ -96,6 +100,10 @@ pub struct RunResult {
     pub wall_s: f64,
     /// Pictures for the report.
     pub snapshots: Vec<Snapshot>,
+    /// Labels against the truth, for the frames that have one; `None` if nothing was labelled.
+    pub labels: Option<RunLabels>,
+    /// What was found to move, frame by frame.
+    pub found: Vec<FrameLabels>,
 }
 
 impl RunResult {
@@ -180,6 +188,8 @@ pub fn run(
         stopwatch: result.stopwatch,
         wall_s: begun.elapsed().as_secs_f64(),
         snapshots: result.snapshots,
+        labels: (!result.judged.frames.is_empty()).then_some(result.judged),
+        found: result.found,
     })
 }
 
@@ -211,6 +221,8 @@ struct Collected {
     stopped_by: Option<anyhow::Error>,
     stopwatch: Stopwatch,
     snapshots: Vec<Snapshot>,
+    judged: RunLabels,
+    found: Vec<FrameLabels>,
 }
 
 impl Collected {
@@ -229,7 +241,41 @@ impl Collected {
         let waited = Duration::from_secs_f64(waited_ms.max(0.0) / 1e3);
         let tracked = begun.elapsed().saturating_sub(waited);
         self.stopwatch.record("frame", tracked);
+        self.keep_labels(slam, frame, &report);
         Ok(report)
+    }
+
+    /// Keeps what was found to move, and judges it. A frame in which nothing was found, because it
+    /// is one of the first or because the camera is lost, counts as one where nothing moves.
+    fn keep_labels(&mut self, slam: &Slam, frame: &SourceFrame, report: &FrameReport) {
+        let on = slam.config().labels.enabled && frame.mask.is_none();
+        if let (true, Some(truth)) = (on, &frame.truth) {
+            let (keypoints, mask) = match slam.frame_labels() {
+                Some(found) => (
+                    found
+                        .keypoints
+                        .iter()
+                        .map(|(px, label)| (*px, *label == Label::Dynamic))
+                        .collect(),
+                    found.mask(frame.rgb.size()),
+                ),
+                None => {
+                    let (width, height) = frame.rgb.size();
+                    let last = slam.last_frame().filter(|l| l.id == report.id);
+                    let px = last.map_or(&[][..], |l| &l.px);
+                    (
+                        px.iter().map(|p| ([p.x, p.y], false)).collect::<Vec<_>>(),
+                        MaskImage::new(width, height, 0),
+                    )
+                }
+            };
+            self.judged.frames.push(garad_eval::FrameLabels {
+                t_s: report.t_s,
+                keypoints: Some(Confusion::of_keypoints(keypoints, truth)),
+                pixels: Confusion::of_masks(&mask, truth).ok(),
+            });
+        }
+        self.found.extend(slam.frame_labels().cloned());
     }
 }
 
@@ -263,8 +309,11 @@ fn snapshot(slam: &Slam, frame: SourceFrame, report: &FrameReport) -> Snapshot {
     Snapshot {
         frame: report.id.index(),
         t_s: frame.t_s,
+        mask: match slam.frame_labels() {
+            Some(found) => Some(found.mask(frame.rgb.size())),
+            None => frame.mask,
+        },
         rgb: frame.rgb,
-        mask: frame.mask,
         keypoints,
     }
 }

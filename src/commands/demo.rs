@@ -21,9 +21,9 @@ pub(crate) struct Args {
     /// Frames of the sequence.
     #[arg(long, default_value_t = 75)]
     frames: usize,
-    /// Use no labels: people are taken for part of the room.
+    /// Take the scene's own masks instead of finding out what moves.
     #[arg(long)]
-    without_labels: bool,
+    oracle_labels: bool,
 }
 
 /// Training iterations unless the command line or a configuration says otherwise.
@@ -50,10 +50,12 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         .unwrap_or_else(|| PathBuf::from("out").join(&name));
     make_folder(&out)?;
     if !args.common.quiet {
-        let labels = if args.without_labels {
-            "no labels"
-        } else {
+        let labels = if args.oracle_labels {
             "the scene's own labels"
+        } else if options.config.labels.enabled {
+            "labels found on the way"
+        } else {
+            "no labels"
         };
         say(&format!(
             "{name}: {} frames, Kinect-like noise, {labels}",
@@ -71,7 +73,8 @@ pub(crate) fn run(args: &Args) -> Result<()> {
                     t_s: frame.t_s,
                     rgb: frame.rgb,
                     depth: frame.depth,
-                    mask: (!args.without_labels).then_some(frame.mask),
+                    mask: args.oracle_labels.then(|| frame.mask.clone()),
+                    truth: Some(frame.mask),
                 };
                 if sender.send(Ok(frame)).is_err() {
                     return; // the run ended early

@@ -8,7 +8,7 @@ use garad_core::Par;
 use garad_dataset::write_bytes_atomically;
 use garad_eval::{Metrics, RenderMetrics};
 
-use super::run::{InputArgs, find_masks, frames};
+use super::run::{InputArgs, Masks, frames};
 use super::{read_poses, say};
 
 #[derive(Debug, clap::Args)]
@@ -19,7 +19,8 @@ pub(crate) struct Args {
     dataset: PathBuf,
     #[command(flatten)]
     input: InputArgs,
-    /// Masks (255 moving): also judges what lies outside them.
+    /// Masks (255 moving): also judges what lies outside them. The recording's own, if it has any,
+    /// need not be named.
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
     /// Threads.
@@ -34,16 +35,15 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let map = garad_dataset::read_ply(&args.out.join("map.ply"))?;
     let trajectory = read_poses(&args.out.join("trajectory.txt"))?;
     let dataset = args.input.open(&args.dataset)?;
-    let masks = args
-        .masks
-        .as_ref()
-        .map(|dir| find_masks(&args.dataset, dir))
-        .transpose()?;
+    let masks = match &args.masks {
+        Some(dir) => Some(Masks::find(&dataset, &args.dataset, dir)?),
+        None => Masks::of_recording(&dataset),
+    };
     let quality = render_quality::judge(
         &map,
         &dataset.calibration().camera,
         &trajectory,
-        frames(&dataset, masks.as_deref()),
+        frames(&dataset, None, masks.as_ref()),
         Par::new(args.threads),
         args.quiet,
     )?;
@@ -64,6 +64,12 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         let percent = 100.0 * coverage;
         say(&format!(
             "depth          L1 {l1_m:.4} m where both are known, {percent:.1} % of measured pixels"
+        ))?;
+    }
+    if let Some(ghosts) = quality.depth.ghosts {
+        let percent = 100.0 * ghosts;
+        say(&format!(
+            "ghosts         {percent:.2} % of static pixels stand more than 10 cm in front"
         ))?;
     }
 

@@ -11,8 +11,8 @@ use std::io::{self, ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use clap::Args;
 use clap::builder::RangedU64ValueParser;
+use clap::{Args, ValueEnum};
 use garad::runner::RunOptions;
 use garad_core::StampedPose;
 
@@ -34,9 +34,33 @@ pub(crate) struct CommonArgs {
     /// Train the map for this many iterations after the last frame.
     #[arg(long, value_name = "N")]
     pub(crate) refine: Option<usize>,
+    /// Leave a part out (paper, Table III); may be given more than once.
+    #[arg(long, value_enum, value_name = "PART")]
+    pub(crate) without: Vec<Part>,
     /// No progress, only the result.
     #[arg(long)]
     pub(crate) quiet: bool,
+}
+
+/// What a run can do without.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Part {
+    /// No labels: everything is taken for static.
+    Crf,
+    /// Labels stay as the field gives them.
+    Flow,
+    /// No map of Gaussians.
+    Mapping,
+}
+
+impl Part {
+    pub(crate) fn leave_out(self, config: &mut garad_slam::Config) {
+        match self {
+            Self::Crf => config.labels.enabled = false,
+            Self::Flow => config.flow.enabled = false,
+            Self::Mapping => config.seed.enabled = false,
+        }
+    }
 }
 
 /// More threads than this cost time and memory, and no machine gains by them.
@@ -59,6 +83,9 @@ impl CommonArgs {
         };
         if let Some(iterations) = self.refine {
             config.train.refine = iterations;
+        }
+        for part in &self.without {
+            part.leave_out(&mut config);
         }
         Ok(RunOptions {
             config,

@@ -2,14 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use clap::ValueEnum;
 use garad::output::{self, Judged};
 use garad::progress::note;
 use garad::render_quality;
 use garad::runner::{self, SourceFrame};
-use garad_core::Par;
-use garad_dataset::{Dataset, Frame, OpenOptions, Preset, bonn_camera_from_marker};
+use garad_core::{MaskImage, Par};
+use garad_dataset::{Dataset, Frame, MASK_FOLDER, OpenOptions, Preset, bonn_camera_from_marker};
 
 use super::{CommonArgs, make_folder, say};
 
@@ -21,8 +21,8 @@ pub(crate) struct Args {
     common: CommonArgs,
     #[command(flatten)]
     input: InputArgs,
-    /// True masks (255 moving) named by colour time stamp; a relative folder that does not exist
-    /// here is looked for inside the recording.
+    /// True masks (255 moving) named by colour time stamp, taken instead of finding out what moves; a
+    /// folder that does not exist here is looked for inside the recording.
     #[arg(long, value_name = "DIR")]
     oracle_labels: Option<PathBuf>,
     /// Which ground truth to judge by. BONN records a marker on the camera; published figures
@@ -92,11 +92,12 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     for warning in dataset.warnings() {
         note(&format!("warning: {warning}"));
     }
-    let masks = args
+    let oracle = args
         .oracle_labels
         .as_ref()
-        .map(|dir| find_masks(&args.dataset, dir))
+        .map(|dir| Masks::find(&dataset, &args.dataset, dir))
         .transpose()?;
+    let truth = Masks::of_recording(&dataset);
     if args.ground_truth == GroundTruth::Camera && dataset.preset() != Some(Preset::Bonn) {
         bail!(
             "{}: --ground-truth camera is for BONN recordings; expected one, or --preset bonn",
@@ -116,7 +117,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     make_folder(&out)?;
     let result = runner::run(
         &dataset.calibration().camera,
-        frames(&dataset, masks.as_deref()),
+        frames(&dataset, oracle.as_ref(), truth.as_ref()),
         dataset.len(),
         &run_options,
     )?;
@@ -132,7 +133,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             result.gaussians()?,
             result.slam.camera(),
             &result.trajectory,
-            frames(&dataset, masks.as_deref()),
+            frames(&dataset, oracle.as_ref(), truth.as_ref()),
             Par::new(run_options.threads),
             run_options.quiet,
         )?;
@@ -170,15 +171,18 @@ fn warn_of_skipped(skipped: &[String]) {
     }
 }
 
-/// A recording's frames, decoded ahead, with their masks if there is a folder of them.
+/// A recording's frames, decoded ahead, with the masks to be believed and those to judge by.
 pub(crate) fn frames<'a>(
     dataset: &'a Dataset,
-    masks: Option<&'a Path>,
+    oracle: Option<&'a Masks>,
+    truth: Option<&'a Masks>,
 ) -> impl Iterator<Item = Result<SourceFrame>> + 'a {
     dataset.frames(PREFETCH).map(move |frame| {
         let frame = frame?;
-        let mask = match masks {
-            Some(dir) => Some(dataset.read_mask(dir, frame.id.index())?),
+        let i = frame.id.index();
+        let mask = oracle.map(|m| m.read(dataset, i)).transpose()?.flatten();
+        let truth = match truth {
+            Some(masks) => masks.read(dataset, i)?,
             None => None,
         };
         let Frame {
@@ -189,22 +193,49 @@ pub(crate) fn frames<'a>(
             rgb,
             depth,
             mask,
+            truth,
         })
     })
 }
 
-/// The folder of masks, here or inside the recording.
-pub(crate) fn find_masks(dataset: &Path, dir: &Path) -> Result<PathBuf> {
-    let candidates = [dir.to_path_buf(), dataset.join(dir)];
-    candidates
-        .iter()
-        .find(|d| d.is_dir())
-        .cloned()
-        .with_context(|| {
-            format!(
+/// Where masks come from.
+#[derive(Debug)]
+pub(crate) enum Masks {
+    /// A folder here.
+    Folder(PathBuf),
+    /// A folder inside the recording, archives included.
+    Inside(String),
+}
+
+impl Masks {
+    /// A folder named by the user: here, or inside the recording.
+    pub(crate) fn find(dataset: &Dataset, path: &Path, dir: &Path) -> Result<Self> {
+        let name = dir.to_string_lossy();
+        let name = name.trim_end_matches('/');
+        if dir.is_dir() {
+            Ok(Self::Folder(dir.to_path_buf()))
+        } else if dataset.has_folder(name) {
+            Ok(Self::Inside(name.to_owned()))
+        } else {
+            bail!(
                 "{}: no such folder; expected one of masks, here or inside {}",
                 dir.display(),
-                dataset.display()
+                path.display()
             )
+        }
+    }
+
+    /// The recording's own, if it has any.
+    pub(crate) fn of_recording(dataset: &Dataset) -> Option<Self> {
+        dataset
+            .has_folder(MASK_FOLDER)
+            .then(|| Self::Inside(MASK_FOLDER.to_owned()))
+    }
+
+    fn read(&self, dataset: &Dataset, i: usize) -> Result<Option<MaskImage>> {
+        Ok(match self {
+            Self::Folder(dir) => Some(dataset.read_mask(dir, i)?),
+            Self::Inside(folder) => dataset.read_own_mask(folder, i)?,
         })
+    }
 }

@@ -91,6 +91,10 @@ pub struct DepthMetrics {
     pub l1_m: Option<f64>,
     /// Share of the measured pixels that the map shows, in [0, 1].
     pub coverage: Option<f64>,
+    /// Share of the pixels where the map stands in front of what was measured, see
+    /// [`crate::ghosts()`].
+    #[serde(default)]
+    pub ghosts: Option<f64>,
 }
 
 /// See [`crate::labels`].
@@ -272,7 +276,7 @@ mod tests {
             ate.rmse_m ate.mean_m ate.median_m ate.std_m ate.max_m ate.pairs \
             rpe.trans_rmse_m_per_s rpe.rot_rmse_deg_per_s \
             render.psnr_db render.ssim render_static.psnr_db render_static.ssim \
-            render_depth.l1_m render_depth.coverage \
+            render_depth.l1_m render_depth.coverage render_depth.ghosts \
             labels.keypoints.precision labels.keypoints.recall labels.keypoints.f1 \
             labels.pixels.precision labels.pixels.recall labels.pixels.f1 labels.pixels.iou \
             map.gaussians map.dynamic \

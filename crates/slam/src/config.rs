@@ -3,11 +3,15 @@
 //! The defaults are ORB-SLAM's RGB-D values where nothing else is said (Mur-Artal & Tardós 2017,
 //! Campos et al. 2021); what was changed on real recordings is argued in `docs/decisions/`.
 
+use garad_crf::{
+    CrfConfig, CrfError, CueModel, DepthNoise, LabelWindowConfig, Method, Pooling, Side,
+};
+use garad_features::flow::{FlowConfig, FlowEstimator, FlowForm};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// The whole configuration; a TOML table per field.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
     /// Keypoints.
@@ -28,8 +32,44 @@ pub struct Config {
     pub densify: DensifyConfig,
     /// Mapping beside tracking.
     pub schedule: ScheduleConfig,
-    /// What labels do to features.
+    /// What moves, and what that does to features.
     pub labels: LabelConfig,
+    /// The conditional random field behind the labels.
+    #[serde(default = "crf_default")]
+    pub crf: CrfConfig,
+    /// The flow check of suspects.
+    pub flow: FlowCheckConfig,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            features: FeatureConfig::default(),
+            tracking: TrackingConfig::default(),
+            keyframes: KeyframeConfig::default(),
+            refine: RefineConfig::default(),
+            local_ba: LocalBaConfig::default(),
+            seed: SeedConfig::default(),
+            train: TrainConfig::default(),
+            densify: DensifyConfig::default(),
+            schedule: ScheduleConfig::default(),
+            labels: LabelConfig::default(),
+            crf: crf_default(),
+            flow: FlowCheckConfig::default(),
+        }
+    }
+}
+
+/// The field as it is used here; what differs from [`CrfConfig::default`] is argued in decision 005.
+fn crf_default() -> CrfConfig {
+    let mut crf = CrfConfig::default();
+    crf.unary.depth = CueModel::new(2.0, 1.5, Side::Above);
+    crf.unary.pooling = Pooling::Geometric;
+    crf.kernels.sigma_m = 0.2;
+    crf.kernels.sigma_px = 30.0;
+    crf.mean_field.iterations = 5;
+    crf.mean_field.method = Method::Fast { tail: 1e-4 };
+    crf
 }
 
 /// Keypoints and the depth they carry.
@@ -423,17 +463,128 @@ impl Default for RateConfig {
     }
 }
 
-/// What a mask of moving things does.
+/// What moves, and what that does to features.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LabelConfig {
-    /// The mask grows by this radius before it is asked, px: descriptors reach that far.
+    /// Off (`--without crf`): everything is static, unless a mask is given.
+    pub enabled: bool,
+    /// Everything is static in the first frames.
+    pub bootstrap_frames: u32,
+    /// A given mask grows by this radius before it is asked, px: descriptors reach that far. The
+    /// photometric loss keeps as far from every mask.
     pub dilate_px: usize,
+    /// Keyframes of the last so many frames are asked what was there before.
+    pub memory_frames: u32,
+    /// One sample of the picture every so many pixels, each way.
+    pub step_px: usize,
+    /// Noise of the depth camera, with room for registration and pose.
+    pub noise: DepthNoise,
+    /// A depth residual above this makes a suspect, standard deviations.
+    pub suspect_sigmas: f64,
+    /// If more than this share of the judged samples is suspect, the pose is: nothing is labelled.
+    pub max_moving: f64,
+    /// Samples whose depth differs by more than this share belong to another thing, when the mask is
+    /// filled in between them.
+    pub edge_ratio: f64,
+    /// Runs of the field before what moves is dropped (eq. 7).
+    pub window: LabelWindowConfig,
 }
 
 impl Default for LabelConfig {
     fn default() -> Self {
-        Self { dilate_px: 8 }
+        Self {
+            enabled: true,
+            bootstrap_frames: 10,
+            dilate_px: 8,
+            memory_frames: 60,
+            step_px: 16,
+            noise: DepthNoise {
+                per_m: 3e-3,
+                floor_m: 0.01,
+            },
+            suspect_sigmas: 3.0,
+            max_moving: 0.9,
+            edge_ratio: 0.04,
+            window: LabelWindowConfig::default(),
+        }
+    }
+}
+
+/// The flow check of suspects (paper sec. III-B).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FlowCheckConfig {
+    /// Off (`--without flow`): suspects stay suspects.
+    pub enabled: bool,
+    /// Flow as measured (the paper to the letter), or what is left after taking off what the
+    /// camera's motion does at the measured depth.
+    pub model: FlowModelKind,
+    /// How mean and covariance of the static flow are found.
+    pub estimator: FlowEstimatorKind,
+    /// Added to both variances, px².
+    pub covariance_floor_px2: f64,
+    /// Static points a model needs.
+    pub min_support: usize,
+    /// χ² with two degrees of freedom.
+    pub chi2: f64,
+}
+
+/// See [`FlowCheckConfig::model`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FlowModelKind {
+    /// As measured.
+    Raw,
+    /// Without what the camera's motion explains.
+    #[default]
+    Residual,
+}
+
+/// See [`garad_features::flow::FlowEstimator`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FlowEstimatorKind {
+    /// Plain mean and covariance: the paper.
+    Moments,
+    /// Median and median absolute deviation.
+    MedianMad,
+    /// Moments of what lies within 95 % of those.
+    #[default]
+    Trimmed,
+}
+
+impl Default for FlowCheckConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            model: FlowModelKind::Residual,
+            estimator: FlowEstimatorKind::Trimmed,
+            covariance_floor_px2: 0.04,
+            min_support: 10,
+            chi2: garad_features::flow::CHI2_2DOF_95,
+        }
+    }
+}
+
+impl FlowCheckConfig {
+    /// As the check wants it.
+    #[must_use]
+    pub fn check(&self) -> FlowConfig {
+        FlowConfig {
+            form: match self.model {
+                FlowModelKind::Raw => FlowForm::Raw,
+                FlowModelKind::Residual => FlowForm::Residual,
+            },
+            estimator: match self.estimator {
+                FlowEstimatorKind::Moments => FlowEstimator::Moments,
+                FlowEstimatorKind::MedianMad => FlowEstimator::MedianMad,
+                FlowEstimatorKind::Trimmed => FlowEstimator::Trimmed,
+            },
+            covariance_floor_px2: self.covariance_floor_px2,
+            min_support: self.min_support,
+            chi2: self.chi2,
+        }
     }
 }
 
@@ -451,6 +602,9 @@ pub enum ConfigError {
         /// What it may be.
         expected: &'static str,
     },
+    /// A setting of the field.
+    #[error("crf.{0}")]
+    Crf(#[from] CrfError),
 }
 
 impl Config {
@@ -487,6 +641,17 @@ impl Config {
             ("densify.every", self.densify.every as f64, self.densify.every > 0, "at least 1"),
             ("densify.pull", self.densify.pull, inside(0.0, self.densify.pull, f64::INFINITY), positive),
             ("densify.min_opacity", self.densify.min_opacity, inside(0.0, self.densify.min_opacity, 1.0), share),
+            ("labels.step_px", self.labels.step_px as f64, (4..=128).contains(&self.labels.step_px), "4..128"),
+            ("labels.noise.floor_m", self.labels.noise.floor_m,
+             inside(0.0, self.labels.noise.floor_m, f64::INFINITY), positive),
+            ("labels.noise.per_m", self.labels.noise.per_m,
+             self.labels.noise.per_m >= 0.0 && self.labels.noise.per_m.is_finite(), "0 or a positive number"),
+            ("labels.edge_ratio", self.labels.edge_ratio,
+             inside(0.0, self.labels.edge_ratio, f64::INFINITY), positive),
+            ("flow.covariance_floor_px2", self.flow.covariance_floor_px2,
+             self.flow.covariance_floor_px2 >= 0.0 && self.flow.covariance_floor_px2.is_finite(), "0 or a positive number"),
+            ("flow.min_support", self.flow.min_support as f64, self.flow.min_support >= 3, "at least 3"),
+            ("flow.chi2", self.flow.chi2, inside(0.0, self.flow.chi2, f64::INFINITY), positive),
             ("keyframes.max_gap", self.keyframes.max_gap as f64, self.keyframes.max_gap > 0, "at least 1"),
             ("seed.stride_px", s.stride_px as f64, s.stride_px > 0, "at least 1"),
             ("seed.footprint", s.footprint, inside(0.0, s.footprint, f64::INFINITY), positive),
@@ -501,6 +666,8 @@ impl Config {
                 });
             }
         }
+        self.crf.validate()?;
+        self.labels.window.validate()?;
         Ok(())
     }
 }

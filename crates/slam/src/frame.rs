@@ -137,6 +137,21 @@ impl Frame {
         }
     }
 
+    /// Gives every keypoint a label. Those that move lose their landmark, and no search finds them.
+    ///
+    /// # Panics
+    /// Unless there is a label for every keypoint.
+    pub fn set_labels(&mut self, label: Vec<Label>, camera: &Camera) {
+        assert_eq!(label.len(), self.len(), "a label per keypoint");
+        for (landmark, label) in self.landmark.iter_mut().zip(&label) {
+            if *label == Label::Dynamic {
+                *landmark = None;
+            }
+        }
+        self.grid = Grid::new(camera, &self.uv_px, &label);
+        self.label = label;
+    }
+
     /// Static keypoints within `radius_px` of a place, at levels `low..=high`, in index order
     /// within each cell.
     pub fn near(

@@ -16,6 +16,7 @@
 pub mod config;
 pub mod frame;
 pub mod keyframes;
+pub mod labels;
 pub mod local_ba;
 pub mod map;
 pub mod mapper;

@@ -1,4 +1,4 @@
-//! Local bundle adjustment: the newest keyframes and what they see, optimised together
+//! Local bundle adjustment: the newest keyframes and what they see at rest, optimised together
 //! (design section 5, point 1).
 
 use std::collections::BTreeMap;
@@ -26,6 +26,7 @@ impl Slam {
         let mut landmarks: Vec<LandmarkId> = free
             .iter()
             .flat_map(|k| self.map.keyframe(*k).landmark.iter().flatten().copied())
+            .filter(|l| self.map.static_landmark(*l).is_some())
             .collect();
         landmarks.sort_unstable();
         landmarks.dedup();

@@ -5,7 +5,8 @@
 
 use std::collections::BTreeMap;
 
-use garad_core::{Camera, KeyframeId, LandmarkId};
+use garad_core::{Camera, KeyframeId, Label, LandmarkId};
+use garad_crf::LabelWindow;
 use garad_features::Descriptor;
 use nalgebra::{Vector2, Vector3};
 
@@ -26,6 +27,10 @@ pub struct Landmark {
     pub observations: Vec<(KeyframeId, usize)>,
     /// The keyframe that made it.
     pub born: KeyframeId,
+    /// What moves is neither looked for nor adjusted.
+    pub label: Label,
+    /// The labels of the last runs (eq. 7).
+    pub window: LabelWindow,
     /// Frames in which it should have been seen, and in which it was matched.
     pub visible: u32,
     /// See `visible`.
@@ -65,6 +70,12 @@ impl Map {
     /// The landmark, unless it was dropped.
     pub fn landmark_mut(&mut self, id: LandmarkId) -> Option<&mut Landmark> {
         self.landmarks.get_mut(id.index())?.as_mut()
+    }
+
+    /// The landmark, unless it was dropped or moves.
+    #[must_use]
+    pub fn static_landmark(&self, id: LandmarkId) -> Option<&Landmark> {
+        self.landmark(id).filter(|l| l.label == Label::Static)
     }
 
     /// Landmarks that live, with their ids, oldest first.
@@ -133,6 +144,8 @@ impl Map {
             distance_m: (0.0, 0.0),
             observations: vec![(keyframe, i)],
             born: keyframe,
+            label: Label::Static,
+            window: LabelWindow::default(),
             visible: 1,
             found: 1,
         }));
@@ -242,7 +255,7 @@ impl Map {
     }
 
     /// How a landmark should look from a frame; `None` if it should not be seen there: behind,
-    /// outside, too near, too far, or from more than 60° beside its mean view.
+    /// outside, too near, too far, from more than 60° beside its mean view, or if it moves.
     #[must_use]
     pub fn appearance(
         &self,
@@ -251,6 +264,9 @@ impl Map {
         camera: &Camera,
         scales: &[f64],
     ) -> Option<Appearance> {
+        if landmark.label == Label::Dynamic {
+            return None;
+        }
         let p_cam = frame.camera_from_world * landmark.p_world;
         let uv_px = camera.project(&p_cam)?;
         if !camera.contains(&uv_px) {

@@ -15,7 +15,8 @@ pub mod train;
 pub mod view;
 
 use garad_core::{
-    Camera, DepthImage, FrameId, GaussianMap, KeyframeId, LandmarkId, MaskImage, Par, RgbImage, Se3,
+    Camera, DepthImage, FrameId, GaussianMap, KeyframeId, Label, LandmarkId, MaskImage, Par,
+    RgbImage, Se3,
 };
 use nalgebra::Vector3;
 
@@ -39,6 +40,8 @@ pub struct MappingJob {
     pub depth: DepthImage,
     /// 255 where something moves.
     pub mask: Option<MaskImage>,
+    /// Landmarks whose label has changed.
+    pub labels: Vec<(LandmarkId, Label)>,
     /// camera_from_world of every keyframe so far, as adjusted.
     pub poses: Vec<Se3>,
     /// What the keyframe made.

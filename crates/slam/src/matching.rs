@@ -53,7 +53,7 @@ impl Matcher<'_> {
         let mut pairs = Vec::new();
         for i in 0..last.len() {
             let Some((id, landmark)) =
-                last.landmark[i].and_then(|id| Some((id, map.landmark(id)?)))
+                last.landmark[i].and_then(|id| Some((id, map.static_landmark(id)?)))
             else {
                 continue;
             };
@@ -135,7 +135,7 @@ impl Matcher<'_> {
     /// rotation checks. Returns how many.
     pub fn from_keyframe(&self, map: &Map, keyframe: &Frame, frame: &mut Frame) -> usize {
         let known: Vec<_> = (0..keyframe.len())
-            .filter(|&i| keyframe.landmark[i].is_some_and(|l| map.landmark(l).is_some()))
+            .filter(|&i| keyframe.landmark[i].is_some_and(|l| map.static_landmark(l).is_some()))
             .collect();
         let free: Vec<_> = (0..frame.len())
             .filter(|&i| frame.label[i] == Label::Static && frame.uv_px[i].x.is_finite())

@@ -7,12 +7,16 @@ pub enum Stage {
     Orb,
     /// Landmarks of the last frame or a keyframe found in the new one, and the first pose.
     TrackMotion,
+    /// What moves in the frame: samples, field, flow check.
+    Label,
     /// The local map projected into the frame, and the final pose.
     TrackLocalMap,
     /// A lost camera looked for among the keyframes.
     Recover,
     /// A keyframe and its landmarks added, weak landmarks dropped.
     Keyframe,
+    /// Landmarks through the field.
+    LabelMap,
     /// Local bundle adjustment.
     LocalBa,
     /// Tracking waits for a mapping job that is due (one thread: the job itself).
@@ -30,9 +34,11 @@ impl Stage {
         match self {
             Self::Orb => "orb",
             Self::TrackMotion => "track_motion",
+            Self::Label => "label",
             Self::TrackLocalMap => "track_local_map",
             Self::Recover => "recover",
             Self::Keyframe => "keyframe",
+            Self::LabelMap => "label_map",
             Self::LocalBa => "local_ba",
             Self::Handover => "handover",
             Self::Insert => "insert",

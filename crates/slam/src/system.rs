@@ -1,16 +1,20 @@
 //! [`Slam`]: the state of a run and the order of stages.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use garad_core::{
     Camera, CameraError, DepthImage, FrameId, GaussianMap, KeyframeId, Label, LandmarkId,
     MaskImage, Par, RgbImage, Se3, StampedPose,
 };
+use garad_crf::Crf;
 use garad_features::{FeatureError, LkPyramid, OrbConfig, OrbExtractor};
 use thiserror::Error;
 
 use crate::config::{Config, ConfigError};
 use crate::frame::{Frame, Levels};
+use crate::labels::frame::{FrameLabels, Lattice, full_size};
+use crate::labels::witness::Witness;
 use crate::map::Map;
 use crate::mapper::train::{TrainError, TrainStep};
 use crate::mapper::{Mapper, MappingJob, NewLandmark};
@@ -116,7 +120,15 @@ pub struct Slam {
     extractor: OrbExtractor,
     levels: Levels,
     /// Pictures of the youngest keyframes, for refinement.
-    pub(crate) pyramids: BTreeMap<KeyframeId, LkPyramid>,
+    pub(crate) pyramids: BTreeMap<KeyframeId, Arc<LkPyramid>>,
+    /// The last tracked frame's picture, for the flow check.
+    pub(crate) last_pyramid: Option<Arc<LkPyramid>>,
+    /// Depth of the keyframes, to ask what was where.
+    pub(crate) witnesses: BTreeMap<KeyframeId, Witness>,
+    pub(crate) lattice: Lattice,
+    pub(crate) crf: Crf,
+    /// What moves in the last tracked frame.
+    frame_labels: Option<FrameLabels>,
     schedule: Schedule,
     /// Where mapping stopped early, and why.
     mapping_errors: Vec<String>,
@@ -162,6 +174,8 @@ impl Slam {
             frame: FrameId(0),
             source,
         })?;
+        let lattice = Lattice::new(&camera, config.labels.step_px);
+        let crf = Crf::new(config.crf.clone()).map_err(ConfigError::from)?;
         let mapper = Mapper::new(&camera, &config, seed, par)?;
         let beside = par.threads() > 1;
         let schedule = Schedule::new(mapper, config.schedule.handover_frames, beside);
@@ -179,6 +193,11 @@ impl Slam {
             extractor,
             levels,
             pyramids: BTreeMap::new(),
+            last_pyramid: None,
+            witnesses: BTreeMap::new(),
+            lattice,
+            crf,
+            frame_labels: None,
             schedule,
             mapping_errors: Vec::new(),
             state: TrackingState::NotInitialised,
@@ -225,8 +244,9 @@ impl Slam {
         let gray = input.rgb.to_gray();
         let found = self.extractor.extract(&gray, self.par);
         observer.end(Stage::Orb);
-        let pyramid = match self.config.refine.enabled {
-            true => LkPyramid::new(&gray, 1).ok(),
+        let flow = self.config.labels.enabled && self.config.flow.enabled;
+        let pyramid = match self.config.refine.enabled || flow {
+            true => LkPyramid::new(&gray, 1).ok().map(Arc::new),
             false => None,
         };
         let features = found.map_err(|source| SlamError::Features { frame: id, source })?;
@@ -242,12 +262,23 @@ impl Slam {
             &self.config,
         );
 
+        let mut cells = None;
         let inliers = match self.state {
             TrackingState::NotInitialised => self.initialise(&mut frame),
             TrackingState::Tracking | TrackingState::Lost => {
-                self.track(&mut frame, pyramid.as_ref(), input.depth, observer)
+                self.track(&mut frame, pyramid.as_deref(), input, &mut cells, observer)
             }
         };
+        self.frame_labels = cells.as_ref().map(|cells| FrameLabels {
+            frame: id,
+            keypoints: frame
+                .px
+                .iter()
+                .map(|p| [p.x, p.y])
+                .zip(frame.label.iter().copied())
+                .collect(),
+            cells: cells.clone(),
+        });
         let mut report = FrameReport {
             id,
             t_s: input.t_s,
@@ -262,9 +293,9 @@ impl Slam {
             // Before any adjustment: both poses of the difference stand on the same map.
             self.velocity = self.velocity_to(&frame);
             if self.map.keyframes().is_empty() || self.needs_keyframe(&frame, inliers) {
-                let keyframe = self.keep(frame.clone(), input, observer)?;
+                let keyframe = self.keep(frame.clone(), input, cells, observer)?;
                 report.keyframe = Some(keyframe);
-                self.remember_picture(keyframe, pyramid);
+                self.remember_picture(keyframe, pyramid.clone());
                 // The adjusted keyframe is what the next frame starts from.
                 frame = self.map.keyframe(keyframe).clone();
             }
@@ -277,6 +308,7 @@ impl Slam {
             });
             report.camera_from_world = Some(frame.camera_from_world);
             self.last = Some(frame);
+            self.last_pyramid = pyramid;
         }
         Ok(report)
     }
@@ -381,6 +413,12 @@ impl Slam {
         self.last.as_ref()
     }
 
+    /// What moves in the last frame; `None` if that was not asked: lost, bootstrap, or a mask given.
+    #[must_use]
+    pub fn frame_labels(&self) -> Option<&FrameLabels> {
+        self.frame_labels.as_ref()
+    }
+
     /// The camera.
     #[must_use]
     pub fn camera(&self) -> &Camera {
@@ -431,7 +469,8 @@ impl Slam {
         &mut self,
         frame: &mut Frame,
         pyramid: Option<&LkPyramid>,
-        depth: &DepthImage,
+        input: &FrameInput<'_>,
+        cells: &mut Option<MaskImage>,
         observer: &mut dyn Observer,
     ) -> usize {
         let was_lost = self.state == TrackingState::Lost;
@@ -458,8 +497,16 @@ impl Slam {
         };
         let mut inliers = 0;
         if first_pose {
+            if self.config.labels.enabled && input.mask.is_none() {
+                observer.begin(Stage::Label);
+                *cells = self.label_frame(frame, input.depth);
+                if let Some(pyramid) = pyramid {
+                    self.recover_by_flow(frame, pyramid);
+                }
+                observer.end(Stage::Label);
+            }
             observer.begin(Stage::TrackLocalMap);
-            inliers = self.track_local_map(frame, pyramid, depth);
+            inliers = self.track_local_map(frame, pyramid, input.depth);
             observer.end(Stage::TrackLocalMap);
         }
         if inliers >= needed {
@@ -479,7 +526,7 @@ impl Slam {
     }
 
     /// Keeps a keyframe's picture and forgets the oldest one beyond the limit.
-    fn remember_picture(&mut self, keyframe: KeyframeId, pyramid: Option<LkPyramid>) {
+    fn remember_picture(&mut self, keyframe: KeyframeId, pyramid: Option<Arc<LkPyramid>>) {
         if let Some(pyramid) = pyramid {
             self.pyramids.insert(keyframe, pyramid);
         }
@@ -493,6 +540,7 @@ impl Slam {
         &mut self,
         frame: Frame,
         input: &FrameInput<'_>,
+        cells: Option<MaskImage>,
         observer: &mut dyn Observer,
     ) -> Result<KeyframeId, SlamError> {
         let frame_id = frame.id;
@@ -500,6 +548,24 @@ impl Slam {
         observer.begin(Stage::Keyframe);
         let id = self.add_keyframe(frame);
         observer.end(Stage::Keyframe);
+        let mask = match (&cells, input.mask) {
+            (Some(cells), _) => Some(full_size(cells, input.rgb.size())),
+            (None, given) => given.cloned(),
+        };
+        let mut labels = Vec::new();
+        if self.config.labels.enabled && input.mask.is_none() {
+            observer.begin(Stage::LabelMap);
+            let mut witness = Witness::new(input.depth, self.config.features.max_depth_m);
+            if let Some(cells) = cells {
+                witness.set_moving(cells);
+            }
+            self.witnesses.insert(id, witness);
+            self.forget_witnesses(frame_id);
+            if frame_id.0 >= self.config.labels.bootstrap_frames {
+                labels = self.label_landmarks(id);
+            }
+            observer.end(Stage::LabelMap);
+        }
         if self.config.local_ba.enabled {
             observer.begin(Stage::LocalBa);
             self.local_ba(id);
@@ -512,7 +578,8 @@ impl Slam {
                 frame: frame_id,
                 rgb: input.rgb.clone(),
                 depth: input.depth.clone(),
-                mask: input.mask.cloned(),
+                mask,
+                labels,
                 poses: self.keyframe_poses(),
                 new_landmarks: self.landmarks_born_in(id),
                 iterations: train.per_keyframe + train.per_frame * since_last,

@@ -158,7 +158,7 @@ impl Slam {
         let mut keypoints = Vec::new();
         let mut observations = Vec::new();
         for i in 0..frame.len() {
-            let Some(landmark) = frame.landmark[i].and_then(|l| self.map.landmark(l)) else {
+            let Some(landmark) = frame.landmark[i].and_then(|l| self.map.static_landmark(l)) else {
                 frame.landmark[i] = None;
                 continue;
             };
