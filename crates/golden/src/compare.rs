@@ -22,6 +22,9 @@ pub struct Comparison {
     pub expected: f64,
     /// What is there.
     pub got: f64,
+    /// How far `got` may be from `expected` there, in the tensor's unit (for [`Class::Ulp`] in
+    /// representable numbers).
+    pub bound: f64,
     /// Judged by.
     pub tolerance: Tolerance,
 }
@@ -82,6 +85,7 @@ pub fn compare(
         worst_index: Vec::new(),
         expected: values.first().copied().unwrap_or(0.0),
         got: got.first().copied().unwrap_or(0.0),
+        bound: 0.0,
         tolerance: *tolerance,
     };
     // For a band, `worst` is measured by the hard bound and `outside` by the tight one.
@@ -103,6 +107,7 @@ pub fn compare(
         Class::Banded { share, .. } => share * values.len() as f64,
         _ => 0.0,
     };
+    comparison.bound = bound_of(tolerance.class, largest(&values), comparison.expected);
     comparison.passed = comparison.worst <= 1.0 && comparison.outside as f64 <= allowed;
     Ok(comparison)
 }
@@ -115,22 +120,33 @@ fn same(expected: f64, got: f64) -> bool {
 
 /// Error over tolerance of two numbers that are not the same; infinite if either is not finite.
 fn ratio_of(class: Class, dtype: Dtype, expected: &[f64]) -> impl Fn(f64, f64) -> f64 {
-    let largest = expected
-        .iter()
-        .filter(|v| v.is_finite())
-        .fold(0.0, |a: f64, v| a.max(v.abs()));
+    let largest = largest(expected);
     move |e, g| {
         if !(e.is_finite() && g.is_finite()) {
             return f64::INFINITY;
         }
-        let error = (g - e).abs();
-        match class {
-            Class::Exact => f64::INFINITY,
-            Class::Ulp(n) => ulps_apart(dtype, e, g) / n as f64,
-            Class::AbsRel { abs, rel } => error / (abs + rel * e.abs()),
-            Class::Vector { abs, rel } => error / (abs + rel * largest),
-            Class::Banded { hard, .. } => error / hard,
-        }
+        let error = match class {
+            Class::Ulp(_) => ulps_apart(dtype, e, g),
+            _ => (g - e).abs(),
+        };
+        error / bound_of(class, largest, e)
+    }
+}
+
+/// The largest finite number of a tensor.
+fn largest(expected: &[f64]) -> f64 {
+    let finite = expected.iter().filter(|v| v.is_finite());
+    finite.fold(0.0, |a: f64, v| a.max(v.abs()))
+}
+
+/// Largest error at an element: in representable numbers for [`Class::Ulp`], else in the tensor's unit.
+fn bound_of(class: Class, largest: f64, expected: f64) -> f64 {
+    match class {
+        Class::Exact => 0.0,
+        Class::Ulp(n) => n as f64,
+        Class::AbsRel { abs, rel } => abs + rel * expected.abs(),
+        Class::Vector { abs, rel } => abs + rel * largest,
+        Class::Banded { hard, .. } => hard,
     }
 }
 

@@ -5,7 +5,9 @@
 //! (OpenCV, mpmath, scipy, ...) through the scripts in `tests/golden/gen/`.
 //!
 //! Reading order: [`tensor`] (typed arrays) → [`npy`] (their files) → [`case`] (the folder) →
-//! [`tol`] (the one table of tolerances) → [`compare`] (the verdict).
+//! [`tol`] (the one table of tolerances) → [`compare`](mod@compare) (one tensor) →
+//! [`judge`](mod@judge) (one case) → [`explain`](mod@explain) (which slip it is) → [`stages`] (which
+//! stage rests on which) → [`report`].
 //!
 //! # Example
 //! ```
@@ -18,8 +20,12 @@
 pub mod case;
 pub mod compare;
 pub mod error;
+pub mod explain;
+pub mod judge;
 mod manifest;
 pub mod npy;
+pub mod report;
+pub mod stages;
 pub mod tensor;
 pub mod tol;
 

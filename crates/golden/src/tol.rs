@@ -196,7 +196,9 @@ const LARGEST_ROUNDING: f64 = 1e-12;
 /// few answers in f32 will meet.
 #[must_use]
 pub fn for_f32(stage: &str, output: &str, flags: &[String], wide: &Tolerance) -> Tolerance {
-    let flagged = flags.iter().map(|flag| format!("{stage}.f32.{output}_{flag}"));
+    let flagged = flags
+        .iter()
+        .map(|flag| format!("{stage}.f32.{output}_{flag}"));
     let own = format!("{stage}.f32.{output}");
     let renamed = wide.name.replacen('.', ".f32.", 1);
     let mut names = flagged.chain([own, renamed]);
@@ -255,7 +257,11 @@ mod tests {
         assert_eq!(value, "losses.f32.value", "by the output");
         let color = named("raster", "splat_color", "raster.color");
         assert_eq!(color, "raster.f32.color", "by the name");
-        assert_eq!(named("raster", "order", "exact"), "exact", "orders have no width");
+        assert_eq!(
+            named("raster", "order", "exact"),
+            "exact",
+            "orders have no width"
+        );
         let Class::AbsRel { abs, .. } = of("se3", "rotation", "se3.rotation", &[]).class else {
             panic!("the same class");
         };

@@ -6,10 +6,10 @@ const HEAD: &str = r#""schema": 1, "stage": "s", "case": "c", "why": "w", "basis
     "generator": {"script": "gen/s.py", "version": 1, "seed": null}"#;
 
 fn folder(json: &str, files: &[(&str, &[u8])]) -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("case.json"), json).unwrap();
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join("case.json"), json).expect("written");
     for (name, bytes) in files {
-        std::fs::write(folder.path().join(name), bytes).unwrap();
+        std::fs::write(folder.path().join(name), bytes).expect("written");
     }
     folder
 }
@@ -20,7 +20,7 @@ fn with_output(entry: &str) -> String {
 
 fn error_of(json: &str, files: &[(&str, &[u8])]) -> String {
     let folder = folder(json, files);
-    Case::load(folder.path()).unwrap_err().to_string()
+    Case::load(folder.path()).expect_err("refused").to_string()
 }
 
 #[test]

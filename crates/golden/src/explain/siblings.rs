@@ -1,0 +1,99 @@
+//! Slips that other tensors of the case give away.
+
+use super::Suspect;
+
+/// Tries what the inputs and the other outputs suggest.
+pub(super) fn find(s: &Suspect<'_>) -> Option<String> {
+    inverse_motion(s)
+        .or_else(|| activation(s))
+        .or_else(|| background(s))
+        .or_else(|| opacity(s))
+}
+
+/// Another output's expected numbers.
+fn sibling(s: &Suspect<'_>, name: &str) -> Option<Vec<f64>> {
+    let there = s.case.output_names().any(|output| output == name);
+    there.then(|| s.case.output(name).f64())
+}
+
+/// -R times what was given, if the rotations are an output, too.
+fn inverse_motion(s: &Suspect<'_>) -> Option<String> {
+    let rotations = sibling(s, "rotation")?;
+    if s.output != "translation" || rotations.len() != 3 * s.got.len() {
+        return None;
+    }
+    let inverted = s.map(|i, _| {
+        let (row, k) = (i / 3, i % 3);
+        let r = &rotations[9 * row + 3 * k..][..3];
+        let t = &s.got[3 * row..][..3];
+        -(r[0] * t[0] + r[1] * t[1] + r[2] * t[2])
+    });
+    s.named(
+        "the inverse motion: world_from_camera instead of camera_from_world",
+        &inverted,
+    )
+}
+
+/// A gradient by the activated value instead of by the parameter.
+fn activation(s: &Suspect<'_>) -> Option<String> {
+    let (input, of) = match s.output {
+        "d_log_scales" => ("log_scales", "scale"),
+        "d_opacity_logits" => ("opacity_logits", "opacity"),
+        _ => return None,
+    };
+    let parameters = s.case.try_input(input)?.f64();
+    if parameters.len() != s.got.len() {
+        return None;
+    }
+    let chained = s.map(|i, g| {
+        let e = libm::exp(parameters[i]);
+        g * if of == "scale" {
+            e
+        } else {
+            e / ((1.0 + e) * (1.0 + e))
+        }
+    });
+    s.named(
+        &format!("the gradient by the {of}, not by the parameter"),
+        &chained,
+    )
+}
+
+/// A picture without its background, or with the background everywhere.
+fn background(s: &Suspect<'_>) -> Option<String> {
+    if s.output != "color" {
+        return None;
+    }
+    let light = s.case.try_input("background")?.f64();
+    let left = sibling(s, "transmittance")?;
+    let n = light.len();
+    if left.len() * n != s.got.len() {
+        return None;
+    }
+    let without = s.map(|i, g| g + left[i / n] * light[i % n]);
+    let everywhere = s.map(|i, g| g - (1.0 - left[i / n]) * light[i % n]);
+    s.named("the background is missing", &without).or_else(|| {
+        s.named(
+            "the background is added in full, not times the transmittance",
+            &everywhere,
+        )
+    })
+}
+
+/// Depth divided by opacity, or not.
+fn opacity(s: &Suspect<'_>) -> Option<String> {
+    let left = sibling(s, "transmittance")?;
+    if s.output != "depth" || left.len() != s.got.len() {
+        return None;
+    }
+    s.named(
+        "the depth is divided by the opacity",
+        &s.map(|i, g| {
+            if left[i] < 1.0 {
+                g * (1.0 - left[i])
+            } else {
+                g
+            }
+        }),
+    )
+}

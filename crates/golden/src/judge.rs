@@ -1,0 +1,357 @@
+//! [`judge`]: the verdict on a case, given somebody's outputs.
+//!
+//! An answer in f32 where f64 is expected is held to the tolerance of f32 ([`tol::for_f32`]). If
+//! the case has an input `robust`, it says which pixels are away from every cut; there an answer in f32 is
+//! held to its tolerance, and all pixels together to the budget `STAGE.f32.flips`.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use crate::case::Case;
+use crate::compare::{Comparison, compare};
+use crate::explain::explain;
+use crate::npy;
+use crate::tensor::{Dtype, Tensor};
+use crate::tol::{self, Class};
+
+/// Somebody's outputs by name; a text where a file is there and cannot be used.
+pub type Answers = BTreeMap<String, Result<Tensor, String>>;
+
+/// The verdict on one output.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Verdict {
+    /// Within tolerance.
+    Pass,
+    /// No answer.
+    Missing,
+    /// Out of tolerance.
+    Fail,
+    /// NaN or an infinity where a number is expected.
+    NonFinite,
+    /// Another shape.
+    Shape,
+    /// A file that is not a `.npy` file of a known type.
+    Unreadable,
+}
+
+impl Verdict {
+    /// One word.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Pass => "pass",
+            Self::Missing => "missing",
+            Self::Fail => "FAIL",
+            Self::NonFinite => "NONFINITE",
+            Self::Shape => "SHAPE",
+            Self::Unreadable => "UNREADABLE",
+        }
+    }
+}
+
+/// What is said of one output.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OutputVerdict {
+    /// Output.
+    pub name: String,
+    /// Verdict.
+    pub verdict: Verdict,
+    /// Type of the answer, if there is one.
+    pub dtype: Option<Dtype>,
+    /// The worst element, if element could be compared with element.
+    pub comparison: Option<Comparison>,
+    /// What else helps: the slip that explains the answer, what the shape should be.
+    pub note: Option<String>,
+}
+
+/// How a port ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Outcome {
+    /// Every output within tolerance.
+    Pass,
+    /// An output is not.
+    Fail,
+    /// No output at all.
+    Missing,
+    /// The port says it does not do this stage.
+    Unsupported,
+    /// The port ended with an error; its code and last words.
+    Crash(String),
+    /// The port took longer than it may.
+    Timeout(String),
+}
+
+impl Outcome {
+    /// One word.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Pass => "pass",
+            Self::Fail => "FAIL",
+            Self::Missing => "missing",
+            Self::Unsupported => "unsupported",
+            Self::Crash(_) => "CRASH",
+            Self::Timeout(_) => "TIMEOUT",
+        }
+    }
+}
+
+/// What is said of one case.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CaseVerdict {
+    /// Stage.
+    pub stage: String,
+    /// Case.
+    pub case: String,
+    /// Where its expected values come from.
+    pub basis: String,
+    /// How it went.
+    pub outcome: Outcome,
+    /// Output by output, sorted by name.
+    pub outputs: Vec<OutputVerdict>,
+}
+
+impl CaseVerdict {
+    /// A case that gave no outputs to compare.
+    #[must_use]
+    pub fn without_outputs(case: &Case, outcome: Outcome) -> Self {
+        Self {
+            stage: case.stage().to_owned(),
+            case: case.case().to_owned(),
+            basis: case.basis().to_owned(),
+            outcome,
+            outputs: Vec::new(),
+        }
+    }
+
+    /// Whether the run as a whole fails by this case.
+    #[must_use]
+    pub fn fails(&self, allow_missing: bool) -> bool {
+        match self.outcome {
+            Outcome::Pass | Outcome::Unsupported => false,
+            Outcome::Missing => !allow_missing,
+            _ => true,
+        }
+    }
+
+    /// The output that is furthest from its tolerance's inside.
+    #[must_use]
+    pub fn worst(&self) -> Option<&OutputVerdict> {
+        let ratio = |o: &OutputVerdict| o.comparison.as_ref().map_or(-1.0, |c| c.worst);
+        let by = |a: &&OutputVerdict, b: &&OutputVerdict| {
+            a.verdict
+                .cmp(&b.verdict)
+                .then(ratio(a).total_cmp(&ratio(b)))
+        };
+        self.outputs.iter().max_by(by)
+    }
+}
+
+/// Reads `OUTPUT.npy` for every output of a case; a file that is not there is no answer.
+#[must_use]
+pub fn read_answers(case: &Case, folder: &Path) -> Answers {
+    let read = |name: &str| {
+        let bytes = match std::fs::read(folder.join(format!("{name}.npy"))) {
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return None,
+            other => other,
+        };
+        let text = |error: &dyn std::fmt::Display| error.to_string();
+        Some(match bytes {
+            Ok(bytes) => npy::decode(&bytes).map_err(|error| text(&error)),
+            Err(error) => Err(text(&error)),
+        })
+    };
+    let names = case.output_names();
+    names
+        .filter_map(|name| Some((name.to_owned(), read(name)?)))
+        .collect()
+}
+
+/// Judges every output of a case.
+#[must_use]
+pub fn judge(case: &Case, answers: &Answers, allow_missing: bool) -> CaseVerdict {
+    let narrow = |name: &str, answer: &Tensor| {
+        answer.dtype() == Dtype::F32 && case.output(name).dtype() == Dtype::F64
+    };
+    let in_f32 = case.output_names().any(|name| {
+        let answer = answers.get(name).and_then(|answer| answer.as_ref().ok());
+        answer.is_some_and(|answer| narrow(name, answer))
+    });
+    let outputs: Vec<OutputVerdict> = case
+        .output_names()
+        .map(|name| match answers.get(name) {
+            None => problem(name, Verdict::Missing, None, "no file of this name"),
+            Some(Err(why)) => problem(name, Verdict::Unreadable, None, why),
+            Some(Ok(answer)) => judge_output(case, name, answer, in_f32),
+        })
+        .collect();
+    let any = |f: fn(Verdict) -> bool| outputs.iter().any(|o| f(o.verdict));
+    let outcome = if any(|v| v > Verdict::Missing) {
+        Outcome::Fail
+    } else if !any(|v| v == Verdict::Pass) {
+        Outcome::Missing
+    } else if any(|v| v == Verdict::Missing) && !allow_missing {
+        Outcome::Fail
+    } else {
+        Outcome::Pass
+    };
+    CaseVerdict {
+        outputs,
+        ..CaseVerdict::without_outputs(case, outcome)
+    }
+}
+
+fn problem(name: &str, verdict: Verdict, dtype: Option<Dtype>, note: &str) -> OutputVerdict {
+    OutputVerdict {
+        name: name.to_owned(),
+        verdict,
+        dtype,
+        comparison: None,
+        note: Some(note.to_owned()),
+    }
+}
+
+/// Sizes other than 1: a column may be a vector.
+fn squeezed(shape: &[usize]) -> Vec<usize> {
+    shape.iter().copied().filter(|&n| n != 1).collect()
+}
+
+fn judge_output(case: &Case, name: &str, answer: &Tensor, in_f32: bool) -> OutputVerdict {
+    let expected = case.output(name);
+    let dtype = Some(answer.dtype());
+    if squeezed(expected.shape()) != squeezed(answer.shape()) {
+        let note = other_shape(expected, answer);
+        return problem(name, Verdict::Shape, dtype, &note);
+    }
+    let tolerance = match case.tolerance(name) {
+        Ok(wide) if answer.dtype() == Dtype::F32 && expected.dtype() == Dtype::F64 => {
+            tol::for_f32(case.stage(), name, case.flags(), wide)
+        }
+        Ok(tolerance) => *tolerance,
+        Err(error) => return problem(name, Verdict::Unreadable, dtype, &error.to_string()),
+    };
+    let values = expected.f64();
+    let robust = if in_f32 { robust(case, expected) } else { None };
+    // Elements near a cut count as right here; the budget for flips judges them.
+    let away = |numbers: &[f64]| -> Vec<f64> {
+        let Some((mask, per)) = &robust else {
+            return numbers.to_vec();
+        };
+        let at = |i: usize| {
+            if mask[i / per] == 0 {
+                values[i]
+            } else {
+                numbers[i]
+            }
+        };
+        (0..numbers.len()).map(at).collect()
+    };
+    let flips = robust
+        .as_ref()
+        .filter(|_| tolerance.class != Class::Exact)
+        .and_then(|_| tol::find(&format!("{}.f32.flips", case.stage())));
+    let verdict_on = |numbers: &[f64]| -> Option<Comparison> {
+        let tight = compare(expected, &away(numbers), &tolerance).ok()?;
+        let all = flips.and_then(|flips| compare(expected, numbers, flips).ok());
+        Some(match all {
+            Some(all) if tight.passed && !all.passed => all,
+            _ => tight,
+        })
+    };
+    let got = answer.f64();
+    let Some(comparison) = verdict_on(&got) else {
+        return problem(name, Verdict::Shape, dtype, &other_shape(expected, answer));
+    };
+    let lost = got
+        .iter()
+        .zip(&values)
+        .filter(|(g, e)| e.is_finite() && !g.is_finite());
+    let lost = lost.count();
+    let (verdict, note) = if comparison.passed {
+        (Verdict::Pass, None)
+    } else if lost > 0 {
+        let note = format!("{lost} of {} numbers are NaN or infinite", got.len());
+        (Verdict::NonFinite, Some(note))
+    } else {
+        let passes = |numbers: &[f64]| verdict_on(numbers).is_some_and(|c| c.passed);
+        let slip = explain(case, name, &values, &got, &passes);
+        let slip = slip.map(|slip| format!("fits, if this slip is undone: {slip}"));
+        (
+            Verdict::Fail,
+            slip.or_else(|| looks_like_f32(answer, &comparison)),
+        )
+    };
+    OutputVerdict {
+        name: name.to_owned(),
+        verdict,
+        dtype,
+        comparison: Some(comparison),
+        note,
+    }
+}
+
+/// The mask of a case over the first axes of an output, with the elements per entry of the mask.
+fn robust(case: &Case, expected: &Tensor) -> Option<(Vec<i64>, usize)> {
+    let mask = case.try_input("robust")?;
+    let fits = expected.shape().starts_with(mask.shape()) && !mask.is_empty();
+    fits.then(|| (mask.i64(), expected.len() / mask.len()))
+}
+
+/// Numbers in f64 that f32 could hold were hardly computed in f64.
+#[allow(
+    clippy::cast_possible_truncation,
+    reason = "whether it truncates is the question"
+)]
+#[allow(clippy::float_cmp, reason = "the same bits or not")]
+fn looks_like_f32(answer: &Tensor, comparison: &Comparison) -> Option<String> {
+    let close = comparison.worst < 10.0 * tol::F32_OVER_F64;
+    let values = answer.f64();
+    let narrow = values.iter().all(|&v| f64::from(v as f32) == v);
+    let whole = values.iter().all(|&v| v.fract() == 0.0);
+    (answer.dtype() == Dtype::F64 && close && narrow && !whole).then(|| {
+        "every number fits in float32: if it was computed in float32, save it as float32 (<f4) \
+         and it is held to that tolerance"
+            .to_owned()
+    })
+}
+
+/// What is wrong with a shape, and for lists which rows are missing or too many.
+fn other_shape(expected: &Tensor, answer: &Tensor) -> String {
+    let mut note = format!(
+        "shape {:?}; expected {:?}",
+        answer.shape(),
+        expected.shape()
+    );
+    let reversed: Vec<usize> = expected.shape().iter().rev().copied().collect();
+    if answer.shape() == reversed {
+        note.push_str(": the axes are reversed (column-major, or (width, height))");
+    } else if answer.len() == expected.len() {
+        note.push_str(": as many numbers; reshape");
+    } else if expected.shape().get(1..) == answer.shape().get(1..) {
+        let rows = |tensor: &Tensor| -> Vec<Vec<u64>> {
+            let width = tensor.shape()[1..].iter().product::<usize>().max(1);
+            let values = tensor.f64();
+            let bits = |row: &[f64]| row.iter().map(|v| v.to_bits()).collect();
+            let mut rows: Vec<_> = values.chunks(width).map(bits).collect();
+            rows.sort();
+            rows
+        };
+        let (theirs, mine) = (rows(expected), rows(answer));
+        let only = |a: &[Vec<u64>], b: &[Vec<u64>]| -> (usize, String) {
+            let odd: Vec<_> = a
+                .iter()
+                .filter(|row| b.binary_search(row).is_err())
+                .collect();
+            let first = odd.first().map_or(String::new(), |row| {
+                let row: Vec<f64> = row.iter().map(|&b| f64::from_bits(b)).collect();
+                format!(", for one {row:?}")
+            });
+            (odd.len(), first)
+        };
+        let ((missing, lost), (extra, more)) = (only(&theirs, &mine), only(&mine, &theirs));
+        note.push_str(&format!(
+            ": {missing} rows are missing{lost}; {extra} should not be there{more}"
+        ));
+    }
+    note
+}

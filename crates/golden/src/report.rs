@@ -1,0 +1,232 @@
+//! Verdicts as a table to read and as JSON for machines.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use serde_json::{Value, json};
+
+use crate::judge::{CaseVerdict, Outcome, OutputVerdict, Verdict};
+use crate::stages;
+use crate::tol::Class;
+
+/// One line per case, with what failed below it; then which stage to look at first.
+#[must_use]
+pub fn table(verdicts: &[CaseVerdict]) -> String {
+    let mut text = String::new();
+    let width = |f: fn(&CaseVerdict) -> usize| verdicts.iter().map(f).max().unwrap_or(0).max(5);
+    let (stage, case) = (width(|v| v.stage.len()), width(|v| v.case.len()));
+    line(
+        &mut text,
+        format_args!(
+            "{:stage$}  {:case$}  verdict      worst/tolerance",
+            "stage", "case"
+        ),
+    );
+    for verdict in verdicts {
+        let worst = verdict.worst().and_then(|output| {
+            let comparison = output.comparison.as_ref()?;
+            let dtype = output.dtype.map_or("", crate::Dtype::name);
+            Some(format!(
+                "{:<10.3} {} ({dtype})",
+                comparison.worst, output.name
+            ))
+        });
+        line(
+            &mut text,
+            format_args!(
+                "{:stage$}  {:case$}  {:<11}  {}",
+                verdict.stage,
+                verdict.case,
+                verdict.outcome.name(),
+                worst.unwrap_or_default()
+            ),
+        );
+        if let Outcome::Crash(why) | Outcome::Timeout(why) = &verdict.outcome {
+            line(&mut text, format_args!("    {why}"));
+        }
+        if verdict.outcome == Outcome::Fail {
+            for output in verdict
+                .outputs
+                .iter()
+                .filter(|o| o.verdict != Verdict::Pass)
+            {
+                line(&mut text, format_args!("    {}", describe(output)));
+                if let Some(note) = &output.note {
+                    line(&mut text, format_args!("        {note}"));
+                }
+            }
+        }
+    }
+    text.push_str(&advice(verdicts));
+    line(&mut text, format_args!("{}", summary(verdicts)));
+    text
+}
+
+fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
+    // Writing into a string does not fail.
+    let _ = text.write_fmt(arguments);
+    while text.ends_with(' ') {
+        text.pop();
+    }
+    text.push('\n');
+}
+
+/// The worst element: where, what, how far.
+fn describe(output: &OutputVerdict) -> String {
+    let Some(c) = &output.comparison else {
+        return format!("{} {}", output.verdict.name(), output.name);
+    };
+    let bound = match c.tolerance.class {
+        Class::Exact => "exactly".to_owned(),
+        Class::Ulp(n) => format!("within {n} representable numbers"),
+        Class::Banded { tight, share, hard } => {
+            format!(
+                "within {hard:e}, all but {:.1} % within {tight:e}",
+                100.0 * share
+            )
+        }
+        _ => format!("within {:.3e}", c.bound),
+    };
+    format!(
+        "{} {}{:?}: got {:?}, expected {:?} {bound} ({}); {} of {} are outside",
+        output.verdict.name(),
+        output.name,
+        c.worst_index,
+        c.got,
+        c.expected,
+        c.tolerance.name,
+        c.outside,
+        c.elements
+    )
+}
+
+/// How each stage went: the worst of its cases.
+fn by_stage(verdicts: &[CaseVerdict]) -> BTreeMap<&str, &'static str> {
+    let mut stages: BTreeMap<&str, &'static str> = BTreeMap::new();
+    for verdict in verdicts {
+        let word = match verdict.outcome {
+            Outcome::Pass => "passes",
+            Outcome::Missing | Outcome::Unsupported => "was not run",
+            _ => "FAILS",
+        };
+        let rank = |word: &str| {
+            ["was not run", "passes", "FAILS"]
+                .iter()
+                .position(|w| *w == word)
+        };
+        let entry = stages.entry(&verdict.stage).or_insert(word);
+        if rank(word) > rank(entry) {
+            *entry = word;
+        }
+    }
+    stages
+}
+
+/// Which stage to look at first: a failing one whose foundations hold.
+fn advice(verdicts: &[CaseVerdict]) -> String {
+    let stages = by_stage(verdicts);
+    let mut failing: Vec<&str> = stages
+        .iter()
+        .filter(|(_, word)| **word == "FAILS")
+        .map(|(stage, _)| *stage)
+        .collect();
+    failing.sort_by_key(|stage| stages::rank(stage));
+    let mut text = String::new();
+    for stage in &failing {
+        let needs = stages::find(stage).map_or(&[][..], |s| s.needs);
+        let words: Vec<String> = needs
+            .iter()
+            .map(|need| format!("{need} {}", stages.get(need).unwrap_or(&"was not run")))
+            .collect();
+        let below = needs
+            .iter()
+            .find(|need| stages.get(*need) == Some(&"FAILS"));
+        let all_hold = needs.iter().all(|need| stages.get(need) == Some(&"passes"));
+        let advice = match below {
+            Some(below) => format!("look at {below} first"),
+            None if all_hold => "what it rests on holds: the slip is in this stage".to_owned(),
+            None => "run what it rests on as well".to_owned(),
+        };
+        let words = if words.is_empty() {
+            String::new()
+        } else {
+            format!(" ({})", words.join(", "))
+        };
+        line(&mut text, format_args!("{stage} FAILS{words}: {advice}"));
+    }
+    if let [first, _, ..] = failing.as_slice() {
+        line(&mut text, format_args!("first stage that differs: {first}"));
+    }
+    text
+}
+
+/// Cases by outcome.
+#[must_use]
+pub fn counts(verdicts: &[CaseVerdict]) -> BTreeMap<&'static str, usize> {
+    let mut counts = BTreeMap::new();
+    for verdict in verdicts {
+        *counts.entry(verdict.outcome.name()).or_insert(0) += 1;
+    }
+    counts
+}
+
+fn summary(verdicts: &[CaseVerdict]) -> String {
+    let counts = counts(verdicts);
+    let words: Vec<String> = counts
+        .iter()
+        .map(|(name, n)| format!("{n} {name}"))
+        .collect();
+    format!("{} cases: {}", verdicts.len(), words.join(", "))
+}
+
+/// Everything, output by output. Numbers that JSON lacks are strings.
+#[must_use]
+pub fn to_json(verdicts: &[CaseVerdict], passed: bool) -> Value {
+    let number = |v: f64| {
+        if v.is_finite() {
+            json!(v)
+        } else {
+            json!(v.to_string())
+        }
+    };
+    let output = |output: &OutputVerdict| {
+        let mut entry = json!({
+            "output": output.name,
+            "verdict": output.verdict.name().to_lowercase(),
+            "dtype": output.dtype.map(crate::Dtype::name),
+            "note": output.note,
+        });
+        if let Some(c) = &output.comparison {
+            entry["tolerance"] = json!(c.tolerance.name);
+            entry["class"] = json!(format!("{:?}", c.tolerance.class));
+            entry["allowed"] = number(c.bound);
+            entry["worst"] = number(c.worst);
+            entry["at"] = json!(c.worst_index);
+            entry["expected"] = number(c.expected);
+            entry["got"] = number(c.got);
+            entry["outside"] = json!(c.outside);
+            entry["elements"] = json!(c.elements);
+        }
+        entry
+    };
+    let case = |verdict: &CaseVerdict| {
+        json!({
+            "stage": verdict.stage,
+            "case": verdict.case,
+            "basis": verdict.basis,
+            "verdict": verdict.outcome.name().to_lowercase(),
+            "reason": match &verdict.outcome {
+                Outcome::Crash(why) | Outcome::Timeout(why) => Some(why),
+                _ => None,
+            },
+            "outputs": verdict.outputs.iter().map(output).collect::<Vec<_>>(),
+        })
+    };
+    json!({
+        "passed": passed,
+        "counts": counts(verdicts),
+        "stages": by_stage(verdicts),
+        "advice": advice(verdicts).lines().collect::<Vec<_>>(),
+        "cases": verdicts.iter().map(case).collect::<Vec<_>>(),
+    })
+}

@@ -1,0 +1,363 @@
+//! The judge against answers that are wrong in known ways.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use garad_golden::judge::{Answers, Outcome, Verdict, judge, read_answers};
+use garad_golden::{Case, Dtype, Tensor, npy, report, stages};
+use serde_json::{Value, json};
+
+/// A case whose outputs are given as (name, shape, numbers, tolerance).
+fn case(stage: &str, inputs: Value, outputs: &[(&str, &[usize], &[f64], &str)]) -> Case {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut entries = serde_json::Map::new();
+    for (name, shape, numbers, tol) in outputs {
+        let file = format!("{name}.npy");
+        let tensor = Tensor::from(numbers.to_vec())
+            .reshape(shape)
+            .expect("as many");
+        std::fs::write(folder.path().join(&file), npy::encode(&tensor)).expect("written");
+        let entry = json!({"dtype": "f64", "shape": shape, "unit": "1", "file": file, "tol": tol});
+        entries.insert((*name).to_owned(), entry);
+    }
+    let manifest = json!({
+        "schema": 1, "stage": stage, "case": "c", "why": "a test", "basis": "closed-form",
+        "generator": {}, "inputs": inputs, "outputs": entries,
+    });
+    std::fs::write(folder.path().join("case.json"), manifest.to_string()).expect("written");
+    Case::load(folder.path()).expect("a sound case")
+}
+
+fn wide(shape: &[usize], numbers: &[f64]) -> Tensor {
+    Tensor::from(numbers.to_vec())
+        .reshape(shape)
+        .expect("as many")
+}
+
+fn narrow(shape: &[usize], numbers: &[f64]) -> Tensor {
+    #[allow(clippy::cast_possible_truncation, reason = "f32 is what is wanted")]
+    let bytes = numbers.iter().flat_map(|&v| (v as f32).to_le_bytes());
+    Tensor::from_bytes(Dtype::F32, shape.to_vec(), bytes.collect()).expect("as many")
+}
+
+fn answer(name: &str, tensor: Tensor) -> Answers {
+    BTreeMap::from([(name.to_owned(), Ok(tensor))])
+}
+
+/// Numbers without a pattern that a slip could imitate.
+fn numbers(n: usize) -> Vec<f64> {
+    let mut state = 7u64;
+    let next = |_| {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1);
+        (state >> 33) as f64 / 2_147_483_648.0 + 0.25
+    };
+    (0..n).map(next).collect()
+}
+
+/// What the judge says to `slip(right numbers)`.
+fn note(shape: &[usize], slip: impl Fn(usize, &[f64]) -> f64) -> String {
+    let right = numbers(shape.iter().product());
+    let case = case("se3", json!({}), &[("y", shape, &right, "se3.rotation")]);
+    let wrong: Vec<f64> = (0..right.len()).map(|i| slip(i, &right)).collect();
+    let verdict = judge(&case, &answer("y", wide(shape, &wrong)), false);
+    assert_eq!(verdict.outcome, Outcome::Fail, "{shape:?} must fail");
+    verdict.outputs[0].note.clone().unwrap_or_default()
+}
+
+#[test]
+fn slips_are_named() {
+    let picture = [12, 10];
+    let next = |i: usize, n: usize, by: usize| i - i % n + (i % n + by) % n;
+    let cases: Vec<(String, &str)> = vec![
+        (note(&[9], |i, v| -v[i]), "the sign"),
+        (note(&[9], |i, v| v[i] / 2.0), "a factor of 1/2"),
+        (
+            note(&[5, 3], |i, v| v[i] * if i % 3 == 1 { 2.0 } else { 1.0 }),
+            "component 1: a factor of 2",
+        ),
+        (
+            note(&[5, 3], |i, v| v[i] * if i % 3 == 2 { -1.0 } else { 1.0 }),
+            "component 2: the sign",
+        ),
+        (note(&[5, 3], |i, v| v[i - i % 3 + 2 - i % 3]), "BGR"),
+        (note(&[5, 2], |i, v| v[next(i, 2, 1)]), "(row, column)"),
+        (note(&[5, 2], |i, v| v[i] + 0.5), "half a unit too much"),
+        (
+            note(&[5, 2], |i, v| v[i] - if i % 2 == 0 { 31.5 } else { 0.0 }),
+            "component 0: a constant of -31.5",
+        ),
+        (
+            note(&[5, 4], |i, v| v[next(i, 4, 1)]),
+            "(x, y, z, w) instead of (w, x, y, z)",
+        ),
+        (
+            note(&[5, 4], |i, v| if i % 4 == 0 { v[i] } else { -v[i] }),
+            "conjugated",
+        ),
+        (
+            note(&[5, 6], |i, v| v[next(i, 6, 3)]),
+            "(rotation, translation)",
+        ),
+        (
+            note(&[2, 3, 3], |i, v| v[i - i % 9 + i % 3 * 3 + i % 9 / 3]),
+            "transposed",
+        ),
+        (note(&[4, 5], |i, v| v[i % 4 * 5 + i / 4]), "column-major"),
+        (
+            note(&[7, 2], |i, v| v[(6 - i / 2) * 2 + i % 2]),
+            "first axis is reversed",
+        ),
+        (
+            note(&[7, 2], |i, v| v[(i / 2 * 3 % 7) * 2 + i % 2]),
+            "the same rows in another order",
+        ),
+        (
+            note(&picture, |i, v| v[if i % 10 == 0 { i } else { i - 1 }]),
+            "displaced by one pixel to the right",
+        ),
+        (
+            note(&picture, |i, v| v[i - i % 10 + 9 - i % 10]),
+            "mirrored",
+        ),
+        (
+            note(&[9], |i, v| 1.0 - v[i]),
+            "opacity instead of transmittance",
+        ),
+        (note(&[9], |i, v| libm::log(v[i] / 4.0)), ""),
+        (note(&[9], |i, v| libm::log(v[i])), "the logarithm"),
+        (note(&[9], |i, v| v[i] + 1e-3 * (i % 2) as f64), ""),
+    ];
+    for (k, (note, expected)) in cases.iter().enumerate() {
+        let named = !note.is_empty();
+        assert_eq!(named, !expected.is_empty(), "slip {k}: '{note}'");
+        assert!(
+            note.contains(expected),
+            "slip {k}: '{note}', not '{expected}'"
+        );
+    }
+}
+
+#[test]
+fn siblings_give_slips_away() {
+    let rotation = [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+    let pose = case(
+        "se3",
+        json!({}),
+        &[
+            ("rotation", &[1, 3, 3], &rotation, "se3.rotation"),
+            ("translation", &[1, 3], &[1.0, 2.0, 3.0], "se3.translation"),
+        ],
+    );
+    let inverse = wide(&[1, 3], &[-2.0, 1.0, -3.0]);
+    let verdict = judge(&pose, &answer("translation", inverse), true);
+    let note = verdict.outputs[1].note.as_deref().unwrap_or_default();
+    assert!(note.contains("world_from_camera"), "{note}");
+
+    let background =
+        json!({"background": {"dtype": "f64", "shape": [1], "unit": "1", "data": [0.5]}});
+    let picture = case(
+        "raster",
+        background,
+        &[
+            ("color", &[2, 2, 1], &[0.3, 0.4, 0.5, 0.6], "raster.color"),
+            (
+                "transmittance",
+                &[2, 2],
+                &[0.1, 0.2, 0.3, 0.4],
+                "raster.transmittance",
+            ),
+        ],
+    );
+    let without = wide(&[2, 2, 1], &[0.25, 0.3, 0.35, 0.4]);
+    let verdict = judge(&picture, &answer("color", without), true);
+    let note = verdict.outputs[0].note.as_deref().unwrap_or_default();
+    assert!(note.contains("background is missing"), "{note}");
+}
+
+#[test]
+fn f32_is_held_to_its_own_tolerance() {
+    let right = numbers(6);
+    let case = case("se3", json!({}), &[("y", &[6], &right, "se3.rotation")]);
+    let off = |by: f64| -> Vec<f64> { right.iter().map(|v| v + by).collect() };
+    let outcome = |tensor: Tensor| judge(&case, &answer("y", tensor), false).outcome;
+    assert_eq!(
+        outcome(narrow(&[6], &off(4e-7))),
+        Outcome::Pass,
+        "2^29 x 1e-15 is 5.4e-7"
+    );
+    assert_eq!(outcome(narrow(&[6], &off(7e-7))), Outcome::Fail, "beyond");
+    assert_eq!(outcome(wide(&[6], &off(4e-7))), Outcome::Fail, "in f64");
+    let rounded = narrow(&[6], &off(1e-7)).f64();
+    let verdict = judge(&case, &answer("y", wide(&[6], &rounded)), false);
+    let note = verdict.outputs[0].note.as_deref().unwrap_or_default();
+    assert!(note.contains("save it as float32"), "{note}");
+}
+
+/// Near a cut an answer in f32 may decide the other way, within a budget; in f64 it may not.
+#[test]
+fn cuts_have_a_budget_in_f32_only() {
+    let n = 200;
+    let right = numbers(n);
+    let mut mask = vec![true; n];
+    mask[17] = false;
+    let robust = json!({"robust": {"dtype": "bool", "shape": [n], "unit": "1", "data": mask}});
+    let case = case("raster", robust, &[("color", &[n], &right, "raster.color")]);
+    let flipped = |at: usize, by: f64| {
+        let mut numbers = right.clone();
+        numbers[at] += by;
+        numbers
+    };
+    let outcome = |tensor: Tensor| judge(&case, &answer("color", tensor), false).outcome;
+    assert_eq!(
+        outcome(narrow(&[n], &flipped(17, 5e-3))),
+        Outcome::Pass,
+        "a flip at the cut"
+    );
+    assert_eq!(
+        outcome(narrow(&[n], &flipped(18, 5e-3))),
+        Outcome::Fail,
+        "away from it"
+    );
+    assert_eq!(
+        outcome(narrow(&[n], &flipped(17, 5e-2))),
+        Outcome::Fail,
+        "more than a splat of 1/255"
+    );
+    assert_eq!(
+        outcome(wide(&[n], &flipped(17, 5e-3))),
+        Outcome::Fail,
+        "in f64"
+    );
+}
+
+#[test]
+fn what_cannot_be_compared_is_said() {
+    let right = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0];
+    let case = case("fast", json!({}), &[("xy", &[3, 2], &right, "exact")]);
+    let verdict = |tensor: Tensor| judge(&case, &answer("xy", tensor), false).outputs.remove(0);
+    let short = verdict(wide(&[2, 2], &[0.0, 1.0, 4.0, 5.0]));
+    assert_eq!(short.verdict, Verdict::Shape, "two rows of three");
+    let note = short.note.unwrap_or_default();
+    assert!(
+        note.contains("1 rows are missing, for one [2.0, 3.0]; 0 should not"),
+        "{note}"
+    );
+    let turned = verdict(wide(&[2, 3], &right)).note.unwrap_or_default();
+    assert!(turned.contains("axes are reversed"), "{turned}");
+    let mut lost = right;
+    lost[4] = f64::NAN;
+    let lost = verdict(wide(&[3, 2], &lost));
+    assert_eq!(lost.verdict, Verdict::NonFinite, "NaN");
+    assert_eq!(
+        verdict(wide(&[3, 1, 2], &right)).verdict,
+        Verdict::Pass,
+        "an axis of 1"
+    );
+
+    let folder = tempfile::tempdir().expect("a folder");
+    assert_eq!(
+        judge(&case, &read_answers(&case, folder.path()), false).outcome,
+        Outcome::Missing,
+        "nothing"
+    );
+    std::fs::write(folder.path().join("xy.npy"), "not numpy").expect("written");
+    let verdict = judge(&case, &read_answers(&case, folder.path()), true);
+    assert_eq!(
+        verdict.outputs[0].verdict,
+        Verdict::Unreadable,
+        "no .npy file"
+    );
+    let note = verdict.outputs[0].note.clone().unwrap_or_default();
+    assert!(note.contains("NUMPY"), "{note}");
+}
+
+#[test]
+fn missing_outputs_fail_unless_allowed() {
+    let tol = "se3.rotation";
+    let case = case(
+        "se3",
+        json!({}),
+        &[("a", &[1], &[1.0], tol), ("b", &[1], &[2.0], tol)],
+    );
+    let half = answer("a", wide(&[1], &[1.0]));
+    assert_eq!(
+        judge(&case, &half, false).outcome,
+        Outcome::Fail,
+        "b is asked for"
+    );
+    assert_eq!(
+        judge(&case, &half, true).outcome,
+        Outcome::Pass,
+        "b may be missing"
+    );
+    let none = judge(&case, &Answers::new(), true);
+    assert!(!none.fails(true) && none.fails(false), "{none:?}");
+}
+
+/// A wrong backward pass on a right forward pass is the backward pass's fault; a wrong
+/// projection is the projection's.
+#[test]
+fn the_report_says_where_to_look() {
+    let verdict = |stage: &str, right: bool| {
+        let case = case(stage, json!({}), &[("y", &[1], &[1.0], "exact")]);
+        let got = wide(&[1], &[if right { 1.0 } else { 3.7 }]);
+        judge(&case, &answer("y", got), false)
+    };
+    let stages = ["projection_covariance", "sh", "raster", "raster_backward"];
+    let table = |wrong: &[&str]| {
+        let verdicts: Vec<_> = stages.map(|s| verdict(s, !wrong.contains(&s))).into();
+        (
+            report::table(&verdicts),
+            report::to_json(&verdicts, wrong.is_empty()),
+        )
+    };
+    let (text, json) = table(&["raster_backward"]);
+    assert!(
+        text.contains("raster passes): what it rests on holds: the slip is in this stage"),
+        "{text}"
+    );
+    assert!(
+        text.contains("y[0]: got 3.7, expected 1.0 exactly"),
+        "{text}"
+    );
+    assert_eq!(json["stages"]["raster_backward"], "FAILS", "{json}");
+    assert_eq!(json["cases"][3]["outputs"][0]["got"], 3.7, "{json}");
+    let (text, _) = table(&["projection_covariance", "raster", "raster_backward"]);
+    assert!(
+        text.contains("first stage that differs: projection_covariance"),
+        "{text}"
+    );
+    assert!(text.contains("raster FAILS (projection_covariance FAILS, sh passes): look at projection_covariance first"), "{text}");
+}
+
+/// Every part of the method has a committed case, or is in the list of missing ones.
+#[test]
+fn every_part_has_cases() {
+    let root = Case::root();
+    let cases = Case::load_root(&root).expect("sound cases");
+    let mut problems = Vec::new();
+    for stage in stages::STAGES {
+        let n = cases
+            .iter()
+            .filter(|case| case.stage() == stage.name)
+            .count();
+        if n == 0 {
+            problems.push(format!("stage {} has no case", stage.name));
+        }
+    }
+    for case in &cases {
+        if stages::find(case.stage()).is_none() {
+            problems.push(format!(
+                "{}: its stage is not in stages::STAGES",
+                case.name()
+            ));
+        }
+        if case.basis().starts_with("self") {
+            problems.push(format!("{}: rests on this project alone", case.name()));
+        }
+    }
+    assert!(problems.is_empty(), "{}", problems.join("\n"));
+    assert!(Path::new(&root).is_dir(), "{root:?}");
+}
