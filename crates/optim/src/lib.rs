@@ -27,6 +27,7 @@
 //! ```
 
 pub mod adam;
+mod blocks;
 pub mod bundle;
 pub mod check;
 pub mod dense;

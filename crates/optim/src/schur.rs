@@ -11,26 +11,95 @@
 //!
 //! (U - W V⁻¹ Wᵀ) h_p = -g_p + W V⁻¹ g_l,   h_l = V⁻¹ (-g_l - Wᵀ h_p)                     (E13)
 //!
-//! What is left is a dense system of six unknowns per free pose. Damping adds λ diag to U and V
-//! first. Source: Triggs et al., *Bundle adjustment: a modern synthesis*, 2000, sec. 6.1.
+//! What is left is a system of six unknowns per free pose, with a block for each pair of poses that
+//! see a point together ([`crate::blocks`]). Damping adds λD to U and V first, D = max(diag, floor):
+//! diag their diagonal, the floor a tiny part ([`SMALLEST_DIAGONAL`]) of its largest element, so
+//! that an unknown without an equation stays put instead of making the matrix singular.
+//!
+//! An observation acts through the point in its camera, p = R p_world + t, alone. With
+//! J = ∂r/∂p, A = ρ' JᵀJ and g = ρ' Jᵀr (3x3 and 3) its parts are
+//!
+//! ```text
+//! U = [I; p^] A [I, -p^]     W = [I; p^] A R     V = Rᵀ A R     g_p = [I; p^] g     g_l = Rᵀ g
+//! ```
+//!
+//! Source: Triggs et al., *Bundle adjustment: a modern synthesis*, 2000, sec. 6.1.
 
+use garad_core::so3::hat;
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 
+use crate::blocks::{Block, BlockMatrix, Pattern};
 use crate::dense::SMALLEST_DIAGONAL;
 use crate::lm::{Damped, System};
-use crate::solve::{ldlt_factor, ldlt_inverse, ldlt_substitute};
+use crate::solve::ldlt_inverse;
 
-type Matrix6x3 = SMatrix<f64, 6, 3>;
-
-/// Which free pose and which point each observation connects; grouped by point.
+/// Which free pose and which point each observation connects; grouped by point, and within a
+/// point by the step at which [`Pattern`] eliminates the pose (fixed ones first).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Structure {
-    /// Number of free poses.
-    pub(crate) poses: usize,
+    pub(crate) pattern: Pattern,
     /// Observations `start[l]..start[l + 1]` are those of point l.
     pub(crate) start: Vec<usize>,
-    /// Free pose of each observation, `None` if its pose is fixed.
-    pub(crate) pose: Vec<Option<usize>>,
+    /// Free pose of each observation, by step, `None` if its pose is fixed.
+    pub(crate) step: Vec<Option<usize>>,
+    /// For each point, each of its free observations a and each earlier one b, in that order:
+    /// where the block of their poses is.
+    place: Vec<Place>,
+}
+
+/// A block of the reduced matrix.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Place {
+    Lower(usize),
+    /// One pose saw the point twice.
+    Diagonal(usize),
+}
+
+impl Structure {
+    /// Sorts `observations`, given as (point, free pose if it is free, index), and finds their
+    /// blocks.
+    pub(crate) fn new(
+        poses: usize,
+        points: usize,
+        observations: &mut [(usize, Option<usize>, usize)],
+    ) -> Self {
+        observations.sort_by_key(|o| o.0); // stable: the order within a point stays
+        let same_point = |a: &(usize, _, _), b: &(usize, _, _)| a.0 == b.0;
+        let mut coupled = vec![false; poses * poses];
+        for seen in observations.chunk_by(same_point) {
+            for (i, a) in seen.iter().enumerate() {
+                for b in &seen[..i] {
+                    if let (Some(a), Some(b)) = (a.1, b.1) {
+                        coupled[a.max(b) * poses + a.min(b)] = true;
+                    }
+                }
+            }
+        }
+        let pairs = (0..coupled.len()).filter(|&i| coupled[i]);
+        let pattern = Pattern::new(poses, pairs.map(|i| (i / poses, i % poses)));
+        let step = |o: &(usize, Option<usize>, usize)| o.1.map(|pose| pattern.step(pose));
+        observations.sort_by_key(|o| (o.0, step(o)));
+        let mut place = Vec::new();
+        for seen in observations.chunk_by(same_point) {
+            let steps: Vec<usize> = seen.iter().filter_map(step).collect();
+            for (i, &a) in steps.iter().enumerate() {
+                for &b in &steps[..i] {
+                    let slot = pattern.slot(a, b).map(Place::Lower);
+                    place.push(slot.unwrap_or(Place::Diagonal(a)));
+                }
+            }
+        }
+        let start = (0..=points)
+            .map(|l| observations.partition_point(|o| o.0 < l))
+            .collect();
+        let step = observations.iter().map(step).collect();
+        Self {
+            pattern,
+            start,
+            step,
+            place,
+        }
+    }
 }
 
 /// A step of all free poses and all points.
@@ -40,49 +109,84 @@ pub(crate) struct BundleStep {
     pub(crate) points: Vec<Vector3<f64>>,
 }
 
-/// U, V, W and the gradient at a state.
+/// What one observation adds, in the frame of its camera.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct InCamera {
+    /// p = R p_world + t.
+    pub(crate) point: Vector3<f64>,
+    /// A = ρ' JᵀJ.
+    pub(crate) hessian: Matrix3<f64>,
+    /// ρ' Jᵀr.
+    pub(crate) gradient: Vector3<f64>,
+}
+
+/// [I; p^] A R.
+type Coupling = [f64; 18];
+
+/// U, V, W and the gradient at a state. Poses are numbered by step of elimination.
 #[derive(Debug, Clone)]
 pub(crate) struct SchurSystem<'a> {
     structure: &'a Structure,
     pub(crate) cost: f64,
     pub(crate) u: Vec<Matrix6<f64>>,
     pub(crate) v: Vec<Matrix3<f64>>,
-    pub(crate) w: Vec<Matrix6x3>,
+    w: Vec<Coupling>,
     pub(crate) pose_gradient: Vec<Vector6<f64>>,
     pub(crate) point_gradient: Vec<Vector3<f64>>,
 }
 
 impl<'a> SchurSystem<'a> {
     pub(crate) fn zeros(structure: &'a Structure) -> Self {
-        let points = structure.start.len() - 1;
+        let (poses, points) = (structure.pattern.len(), structure.start.len() - 1);
         Self {
             structure,
             cost: 0.0,
-            u: vec![Matrix6::zeros(); structure.poses],
+            u: vec![Matrix6::zeros(); poses],
             v: vec![Matrix3::zeros(); points],
-            w: vec![Matrix6x3::zeros(); structure.pose.len()],
-            pose_gradient: vec![Vector6::zeros(); structure.poses],
+            w: Vec::with_capacity(structure.step.len()),
+            pose_gradient: vec![Vector6::zeros(); poses],
             point_gradient: vec![Vector3::zeros(); points],
         }
     }
 
-    /// Adds observation i of point l: its weight, residual and the two Jacobians.
-    pub(crate) fn add<const M: usize>(
-        &mut self,
-        (i, l): (usize, usize),
-        weight: f64,
-        residual: &SMatrix<f64, M, 1>,
-        pose_jacobian: &SMatrix<f64, M, 6>,
-        point_jacobian: &SMatrix<f64, M, 3>,
-    ) {
-        let weighted = point_jacobian.transpose() * weight;
-        self.v[l] += weighted * point_jacobian;
-        self.point_gradient[l] += weighted * residual;
-        if let Some(p) = self.structure.pose[i] {
-            let weighted = pose_jacobian.transpose() * weight;
-            self.u[p] += weighted * pose_jacobian;
-            self.pose_gradient[p] += weighted * residual;
-            self.w[i] = weighted * point_jacobian;
+    /// Adds the next observation, of point l by a camera of this rotation. All of them, in order.
+    #[inline]
+    pub(crate) fn push(&mut self, l: usize, rotation: &Matrix3<f64>, seen: &InCamera) {
+        let (a, g) = (&seen.hessian, &seen.gradient);
+        let coupling = a * rotation;
+        let back = rotation.transpose();
+        self.v[l] += back * coupling;
+        self.point_gradient[l] += back * g;
+        let mut w = [0.0; 18];
+        if let Some(p) = self.structure.step[self.w.len()] {
+            let p_hat = hat(&seen.point);
+            let turned = p_hat * a;
+            let u = &mut self.u[p];
+            add_3x3(u, (0, 0), a);
+            add_3x3(u, (3, 0), &turned);
+            add_3x3(u, (3, 3), &(p_hat * turned.transpose()));
+            let torque = p_hat * g;
+            let gradient = &mut self.pose_gradient[p];
+            for i in 0..3 {
+                gradient[i] += g[i];
+                gradient[i + 3] += torque[i];
+            }
+            let turned = p_hat * coupling;
+            for (j, column) in w.as_chunks_mut::<6>().0.iter_mut().enumerate() {
+                for i in 0..3 {
+                    column[i] = coupling[(i, j)];
+                    column[i + 3] = turned[(i, j)];
+                }
+            }
+        }
+        self.w.push(w);
+    }
+
+    /// To be called after the last observation: U becomes symmetric.
+    pub(crate) fn finish(&mut self) {
+        for u in &mut self.u {
+            let lower_left = u.fixed_view::<3, 3>(3, 0).transpose();
+            u.fixed_view_mut::<3, 3>(0, 3).copy_from(&lower_left);
         }
     }
 
@@ -111,29 +215,42 @@ impl<'a> SchurSystem<'a> {
             .collect()
     }
 
-    /// The reduced system of the poses: its matrix, row by row, lower triangle; its right side.
-    fn reduce(&self, damping: Damping, v_inverse: &[Matrix3<f64>]) -> (Vec<f64>, Vec<f64>) {
-        let n = 6 * self.structure.poses;
-        let (mut matrix, mut right) = (vec![0.0; n * n], vec![0.0; n]);
-        for (p, u) in self.u.iter().enumerate() {
-            subtract_block(&mut matrix, n, (p, p), &-damping.damp(u));
-            subtract(&mut right, p, &self.pose_gradient[p]);
+    /// The reduced system of the poses: its matrix and its right side.
+    fn reduce(
+        &self,
+        damping: Damping,
+        v_inverse: &[Matrix3<f64>],
+    ) -> (BlockMatrix<'a>, Vec<Vector6<f64>>) {
+        let mut matrix = BlockMatrix::zeros(&self.structure.pattern);
+        let mut right: Vec<Vector6<f64>> = self.pose_gradient.iter().map(|g| -g).collect();
+        for (block, u) in matrix.diagonal.iter_mut().zip(&self.u) {
+            block.copy_from_slice(damping.damp(u).as_slice());
         }
+        let mut places = self.structure.place.iter();
+        let mut free: Vec<&Coupling> = Vec::new();
         for (l, inverse) in v_inverse.iter().enumerate() {
+            free.clear();
             for a in self.observations(l) {
-                let Some(pa) = self.structure.pose[a] else {
+                let Some(pa) = self.structure.step[a] else {
                     continue;
                 };
-                let wa_inverse = self.w[a] * inverse;
-                subtract(&mut right, pa, &-(wa_inverse * self.point_gradient[l]));
-                for b in self.observations(l) {
-                    if let Some(pb) = self.structure.pose[b]
-                        && pb <= pa
-                    {
-                        let block = wa_inverse * self.w[b].transpose();
-                        subtract_block(&mut matrix, n, (pa, pb), &block);
+                let wa_inverse = product_3x3(&self.w[a], inverse);
+                add_product(&mut right[pa], &wa_inverse, &self.point_gradient[l]);
+                for (wb, place) in free.iter().zip(&mut places) {
+                    match *place {
+                        Place::Lower(slot) => {
+                            subtract_product(&mut matrix.lower[slot], &wa_inverse, wb);
+                        }
+                        Place::Diagonal(p) => {
+                            let wb_inverse = product_3x3(wb, inverse);
+                            let block = &mut matrix.diagonal[p];
+                            subtract_product(block, &wa_inverse, wb);
+                            subtract_product(block, &wb_inverse, &self.w[a]);
+                        }
                     }
                 }
+                subtract_product(&mut matrix.diagonal[pa], &wa_inverse, &self.w[a]);
+                free.push(&self.w[a]);
             }
         }
         (matrix, right)
@@ -145,8 +262,11 @@ impl<'a> SchurSystem<'a> {
             .map(|l| {
                 let mut right = -self.point_gradient[l];
                 for i in self.observations(l) {
-                    if let Some(p) = self.structure.pose[i] {
-                        right -= self.w[i].transpose() * poses[p];
+                    if let Some(p) = self.structure.step[i] {
+                        let (columns, _) = self.w[i].as_chunks::<6>();
+                        for (element, column) in right.iter_mut().zip(columns) {
+                            *element -= Vector6::from(*column).dot(&poses[p]);
+                        }
                     }
                 }
                 v_inverse[l] * right
@@ -192,11 +312,8 @@ impl System for SchurSystem<'_> {
             floor: self.floor(),
         };
         let v_inverse = self.inverse_points(damping)?;
-        let (mut matrix, mut right) = self.reduce(damping, &v_inverse);
-        ldlt_factor(&mut matrix, right.len()).ok()?;
-        ldlt_substitute(&matrix, &mut right);
-        let (blocks, _) = right.as_chunks::<6>();
-        let poses: Vec<_> = blocks.iter().map(|&h| Vector6::from(h)).collect();
+        let (matrix, mut poses) = self.reduce(damping, &v_inverse);
+        matrix.solve(&mut poses).ok()?;
         let points = self.substitute(&v_inverse, &poses);
         let step = BundleStep { poses, points };
         Some(Damped {
@@ -225,54 +342,126 @@ impl Damping {
     }
 }
 
-/// Block (row, column) of an n x n matrix stored row by row, minus a block.
-fn subtract_block(
-    matrix: &mut [f64],
-    n: usize,
-    (row, column): (usize, usize),
-    block: &Matrix6<f64>,
-) {
-    for i in 0..6 {
-        let start = (6 * row + i) * n + 6 * column;
-        for (j, element) in matrix[start..start + 6].iter_mut().enumerate() {
-            *element -= block[(i, j)];
+/// A 3x3 block of U, plus a matrix.
+#[inline]
+fn add_3x3(u: &mut Matrix6<f64>, (row, column): (usize, usize), a: &Matrix3<f64>) {
+    for j in 0..3 {
+        for i in 0..3 {
+            u[(row + i, column + j)] += a[(i, j)];
         }
     }
 }
 
-/// Piece p of a stacked vector, minus a vector.
-fn subtract(stacked: &mut [f64], p: usize, vector: &Vector6<f64>) {
-    for (element, v) in stacked[6 * p..6 * p + 6].iter_mut().zip(vector.iter()) {
-        *element -= v;
+/// W A.
+#[inline]
+fn product_3x3(w: &Coupling, a: &Matrix3<f64>) -> Coupling {
+    let (w, _) = w.as_chunks::<6>();
+    let mut product = [0.0; 18];
+    for (j, column) in product.as_chunks_mut::<6>().0.iter_mut().enumerate() {
+        for i in 0..6 {
+            column[i] = w[0][i] * a[(0, j)] + w[1][i] * a[(1, j)] + w[2][i] * a[(2, j)];
+        }
+    }
+    product
+}
+
+/// x += W v.
+#[inline]
+fn add_product(x: &mut Vector6<f64>, w: &Coupling, v: &Vector3<f64>) {
+    let (w, _) = w.as_chunks::<6>();
+    for i in 0..6 {
+        x[i] += w[0][i] * v[0] + w[1][i] * v[1] + w[2][i] * v[2];
+    }
+}
+
+/// C -= A Bᵀ: the innermost loop of a bundle.
+#[inline]
+fn subtract_product(c: &mut Block, a: &Coupling, b: &Coupling) {
+    let (a, _) = a.as_chunks::<6>();
+    for (j, column) in c.as_chunks_mut::<6>().0.iter_mut().enumerate() {
+        let (b0, b1, b2) = (b[j], b[6 + j], b[12 + j]);
+        for i in 0..6 {
+            column[i] -= a[0][i] * b0 + a[1][i] * b1 + a[2][i] * b2;
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use garad_core::Rng;
+    use garad_core::{Rng, So3};
 
-    /// Two free poses and a fixed one, three points, one of them unseen, random Jacobians.
+    /// Two free poses and a fixed one, three points, one of them unseen, one seen twice by one
+    /// pose; random derivatives.
+    fn structure() -> Structure {
+        let mut observations = [
+            (0, Some(0), 0),
+            (0, None, 1),
+            (1, Some(1), 2),
+            (1, Some(0), 3),
+            (1, Some(0), 4),
+            (0, Some(1), 5),
+        ];
+        Structure::new(2, 3, &mut observations)
+    }
+
     fn random_system(structure: &Structure) -> SchurSystem<'_> {
         let mut rng = Rng::keyed(5, &[1]);
         let mut system = SchurSystem::zeros(structure);
         for l in 0..structure.start.len() - 1 {
-            for i in structure.start[l]..structure.start[l + 1] {
-                let residual = SMatrix::<f64, 3, 1>::from_fn(|_, _| rng.normal());
-                let pose = SMatrix::<f64, 3, 6>::from_fn(|_, _| rng.normal());
-                let point = SMatrix::<f64, 3, 3>::from_fn(|_, _| rng.normal());
-                system.add((i, l), rng.range(0.2, 1.0), &residual, &pose, &point);
+            for _ in structure.start[l]..structure.start[l + 1] {
+                let mut vector = || Vector3::from_fn(|_, _| rng.normal());
+                let (point, residual, turn) = (vector(), vector(), vector());
+                let jacobian = Matrix3::from_columns(&[vector(), vector(), vector()]);
+                let seen = InCamera {
+                    point,
+                    hessian: jacobian.transpose() * jacobian,
+                    gradient: jacobian.transpose() * residual,
+                };
+                system.push(l, &So3::exp(&turn).matrix(), &seen);
             }
         }
+        system.finish();
         system
     }
 
-    fn structure() -> Structure {
-        Structure {
-            poses: 2,
-            start: vec![0, 3, 6, 6],
-            pose: vec![Some(0), None, Some(1), Some(1), Some(0), Some(0)],
-        }
+    fn coupling(system: &SchurSystem<'_>, i: usize) -> SMatrix<f64, 6, 3> {
+        SMatrix::from_column_slice(&system.w[i])
+    }
+
+    /// The parts of one observation are JᵀJ and Jᵀr of [J [I, -p^], J R].
+    #[test]
+    fn parts_are_products_of_the_full_jacobian() {
+        let structure = Structure::new(1, 1, &mut [(0, Some(0), 0)]);
+        let mut system = SchurSystem::zeros(&structure);
+        let jacobian = Matrix3::new(1.0, 0.5, -0.3, 0.2, 2.0, 0.7, -0.4, 0.1, 1.5);
+        let residual = Vector3::new(0.3, -0.8, 0.5);
+        let rotation = So3::exp(&Vector3::new(0.4, -0.3, 0.9)).matrix();
+        let point = Vector3::new(0.7, -0.2, 2.1);
+        let seen = InCamera {
+            point,
+            hessian: jacobian.transpose() * jacobian,
+            gradient: jacobian.transpose() * residual,
+        };
+        system.push(0, &rotation, &seen);
+        system.finish();
+        let mut by_pose = SMatrix::<f64, 3, 6>::zeros();
+        by_pose.fixed_view_mut::<3, 3>(0, 0).copy_from(&jacobian);
+        by_pose
+            .fixed_view_mut::<3, 3>(0, 3)
+            .copy_from(&(-jacobian * hat(&point)));
+        let by_point = jacobian * rotation;
+        let errors = [
+            (system.u[0] - by_pose.transpose() * by_pose).amax(),
+            (coupling(&system, 0) - by_pose.transpose() * by_point).amax(),
+            (system.v[0] - by_point.transpose() * by_point).amax(),
+            (system.pose_gradient[0] - by_pose.transpose() * residual).amax(),
+            (system.point_gradient[0] - by_point.transpose() * residual).amax(),
+        ];
+        assert!(
+            errors.iter().all(|&e| e < 1e-13),
+            "U, W, V, g_p, g_l: {errors:?}"
+        );
     }
 
     /// E13 solves the full system: U h_p + W h_l = -g_p and Wᵀ h_p + V h_l = -g_l, damped.
@@ -292,9 +481,9 @@ mod tests {
                 .collect();
             for l in 0..3 {
                 for i in system.observations(l) {
-                    if let Some(p) = structure.pose[i] {
-                        poses[p] += system.w[i] * step.points[l];
-                        points[l] += system.w[i].transpose() * step.poses[p];
+                    if let Some(p) = structure.step[i] {
+                        poses[p] += coupling(&system, i) * step.points[l];
+                        points[l] += coupling(&system, i).transpose() * step.poses[p];
                     }
                 }
             }
@@ -321,8 +510,8 @@ mod tests {
             decrease -= system.point_gradient[l].dot(&points[l]);
             decrease -= 0.5 * points[l].dot(&(system.v[l] * points[l]));
             for i in system.observations(l) {
-                if let Some(p) = structure.pose[i] {
-                    decrease -= poses[p].dot(&(system.w[i] * points[l]));
+                if let Some(p) = structure.step[i] {
+                    decrease -= poses[p].dot(&(coupling(&system, i) * points[l]));
                 }
             }
         }
