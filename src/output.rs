@@ -131,9 +131,10 @@ impl Judged {
         if let (Some(f1), Some(iou)) = (m.labels.keypoints.f1, m.labels.pixels.iou) {
             let of = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.3}"));
             lines.push(format!(
-                "labels     keypoints F1 {f1:.3} (precision {}, recall {}); mask IoU {iou:.3}",
+                "labels     keypoints F1 {f1:.3} (precision {}, recall {}, wrongly dynamic {}); mask IoU {iou:.3}",
                 of(m.labels.keypoints.precision),
-                of(m.labels.keypoints.recall)
+                of(m.labels.keypoints.recall),
+                of(m.labels.keypoints.wrongly_dynamic)
             ));
         }
         match &self.ate {

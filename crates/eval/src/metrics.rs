@@ -115,6 +115,9 @@ pub struct KeypointLabels {
     pub recall: Option<f64>,
     /// Harmonic mean of the two.
     pub f1: Option<f64>,
+    /// Share of the static keypoints that were called moving.
+    #[serde(default)]
+    pub wrongly_dynamic: Option<f64>,
 }
 
 /// Rendered masks against the true ones.
@@ -212,6 +215,10 @@ impl From<&Confusion> for KeypointLabels {
             precision: counts.precision(),
             recall: counts.recall(),
             f1: counts.f1(),
+            wrongly_dynamic: {
+                let at_rest = counts.false_positives + counts.true_negatives;
+                (at_rest > 0).then(|| counts.false_positives as f64 / at_rest as f64)
+            },
         }
     }
 }
@@ -277,7 +284,7 @@ mod tests {
             rpe.trans_rmse_m_per_s rpe.rot_rmse_deg_per_s \
             render.psnr_db render.ssim render_static.psnr_db render_static.ssim \
             render_depth.l1_m render_depth.coverage render_depth.ghosts \
-            labels.keypoints.precision labels.keypoints.recall labels.keypoints.f1 \
+            labels.keypoints.precision labels.keypoints.recall labels.keypoints.f1 labels.keypoints.wrongly_dynamic \
             labels.pixels.precision labels.pixels.recall labels.pixels.f1 labels.pixels.iou \
             map.gaussians map.dynamic \
             timing.track.median_ms timing.track.p95_ms timing.track.calls \

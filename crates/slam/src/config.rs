@@ -63,7 +63,10 @@ impl Default for Config {
 /// The field as it is used here; what differs from [`CrfConfig::default`] is argued in decision 005.
 fn crf_default() -> CrfConfig {
     let mut crf = CrfConfig::default();
+    crf.unary.reprojection = CueModel::new(2.5, 1.0, Side::Above);
     crf.unary.depth = CueModel::new(2.0, 1.5, Side::Above);
+    crf.unary.observations = CueModel::new(2.0, 1.0, Side::Below);
+    crf.unary.epipolar = CueModel::new(2.0, 1.0, Side::Above);
     crf.unary.pooling = Pooling::Geometric;
     crf.kernels.sigma_m = 0.2;
     crf.kernels.sigma_px = 30.0;
@@ -474,6 +477,9 @@ pub struct LabelConfig {
     /// A given mask grows by this radius before it is asked, px: descriptors reach that far. The
     /// photometric loss keeps as far from every mask.
     pub dilate_px: usize,
+    /// A keypoint this near to a pixel that was found to move moves, too, px: its descriptor and its
+    /// depth reach across the edge.
+    pub reach_px: usize,
     /// Keyframes of the last so many frames are asked what was there before.
     pub memory_frames: u32,
     /// One sample of the picture every so many pixels, each way.
@@ -497,6 +503,7 @@ impl Default for LabelConfig {
             enabled: true,
             bootstrap_frames: 10,
             dilate_px: 8,
+            reach_px: 8,
             memory_frames: 60,
             step_px: 16,
             noise: DepthNoise {

@@ -6,7 +6,7 @@ use nalgebra::{Vector2, Vector3};
 
 use super::witness::{CELL_PX, Court};
 use crate::frame::Frame;
-use crate::mask::MOVING;
+use crate::mask::{self, MOVING};
 use crate::system::Slam;
 
 /// What was found out about a frame.
@@ -144,12 +144,13 @@ impl Slam {
 
         let (of_keypoints, of_lattice) = beliefs.dynamic.split_at(keypoints.len());
         let cells = self.cells(&lattice, of_lattice, depth);
-        let mut label: Vec<Label> = frame.px.iter().map(|px| label_at(&cells, px)).collect();
+        let reach = config.reach_px.div_ceil(CELL_PX);
+        let near = mask::dilated(&cells, reach);
+        let mut label: Vec<Label> = frame.px.iter().map(|px| label_at(&near, px)).collect();
         for ((i, _), belief) in keypoints.iter().zip(of_keypoints) {
-            label[*i] = match *belief > self.config.crf.threshold {
-                true => Label::Dynamic,
-                false => Label::Static,
-            };
+            if *belief > self.config.crf.threshold {
+                label[*i] = Label::Dynamic;
+            }
         }
         frame.set_labels(label, &self.camera);
         Some(cells)
