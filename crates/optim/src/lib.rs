@@ -3,7 +3,7 @@
 //! Reading order: [`robust`] (how much a residual pulls) → [`lm`] (the loop) → [`dense`] (problems
 //! of few unknowns, as visitors of residual blocks) and [`solve`] (their linear systems) →
 //! [`reprojection`] (the residual of eq. 11) → [`pose`] (the camera alone) → [`bundle`] (cameras and
-//! points, through a Schur complement). [`adam`] walks down gradients instead. [`check`] compares any Jacobian with finite differences.
+//! points, through a Schur complement) → [`pose_graph`] (poses alone, around a loop). [`adam`] walks down gradients instead. [`check`] compares any Jacobian with finite differences.
 //!
 //! # Example
 //! A camera that stands 10 cm beside where it is believed to be, and four points:
@@ -34,6 +34,7 @@ pub mod dense;
 pub mod error;
 pub mod lm;
 pub mod pose;
+pub mod pose_graph;
 pub mod reprojection;
 pub mod robust;
 mod schur;
@@ -45,5 +46,6 @@ pub use check::check_jacobian;
 pub use error::OptimError;
 pub use lm::{LmConfig, Report, StopReason};
 pub use pose::{DepthObservation, PoseConfig, PoseObservation, PoseSolution, optimise_pose};
+pub use pose_graph::{PoseEdge, PoseGraph, PoseGraphConfig, PoseGraphReport};
 pub use robust::RobustKernel;
 pub use solve::{NotPositiveDefinite, ldlt_inverse, ldlt_solve};

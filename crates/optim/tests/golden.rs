@@ -5,10 +5,11 @@ use garad_golden::Case;
 use garad_optim::dense::{Problem, Recorder};
 use garad_optim::pose::PoseProblem;
 use garad_optim::{
-    BundleConfig, BundleObservation, BundleReport, DepthObservation, PoseConfig, PoseObservation,
-    PoseSolution, Report, RobustKernel, StopReason, optimise_bundle, optimise_pose,
+    BundleConfig, BundleObservation, BundleReport, DepthObservation, PoseConfig, PoseEdge,
+    PoseGraph, PoseGraphConfig, PoseObservation, PoseSolution, Report, RobustKernel, StopReason,
+    optimise_bundle, optimise_pose,
 };
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
 
 fn camera(case: &Case) -> Camera {
     let intrinsics = ["fx", "fy", "cx", "cy"].map(|name| case.param_f64(name));
@@ -153,15 +154,21 @@ struct Bundle {
     report: BundleReport,
 }
 
-fn adjust(case: &Case, config: &BundleConfig) -> Bundle {
-    let rotations = case.input("rotation_initial").f64();
-    let translations = case.input("translation_initial").f64();
-    let mut poses: Vec<Se3> = (rotations.chunks_exact(9).zip(translations.chunks_exact(3)))
+/// Rotations and translations, as the case holds them.
+fn poses(rotations: &[f64], translations: &[f64]) -> Vec<Se3> {
+    (rotations.chunks_exact(9).zip(translations.chunks_exact(3)))
         .map(|(r, t)| {
             let rotation = So3::from_matrix(&Matrix3::from_row_slice(r));
             Se3::new(rotation, Vector3::from_column_slice(t))
         })
-        .collect();
+        .collect()
+}
+
+fn adjust(case: &Case, config: &BundleConfig) -> Bundle {
+    let mut poses = poses(
+        &case.input("rotation_initial").f64(),
+        &case.input("translation_initial").f64(),
+    );
     let fixed: Vec<bool> = case.input("fixed").u8().iter().map(|&f| f == 1).collect();
     let points = case.input("points_initial").f64();
     let mut points: Vec<_> = points
@@ -244,6 +251,66 @@ fn bundles_are_the_optima() {
             ..bundle_config(&case)
         };
         let Report { cost, stop, .. } = adjust(&case, &config).report.report;
+        let optimum = case.output("cost").f64()[0];
+        if stop != StopReason::Converged || cost > optimum * (1.0 + 1e-6) {
+            problems.push(format!("{}: {stop:?} at {cost}, {optimum}", case.name()));
+        }
+    }
+    assert!(problems.is_empty(), "{}", problems.join("\n"));
+}
+
+fn graph(case: &Case) -> PoseGraph {
+    let input = |name: &str| case.input(name).f64();
+    let poses_of = |r: &str, t: &str| poses(&input(r), &input(t));
+    let start = poses_of("rotation_initial", "translation_initial");
+    let measured = poses_of("edge_rotation", "edge_translation");
+    let ends = case.input("edges").i64();
+    let information = input("information");
+    let index = |i: i64| usize::try_from(i).expect("an index");
+    let edges = (ends.chunks_exact(2).zip(measured))
+        .zip(information.chunks_exact(36))
+        .map(|((ends, a_from_b), information)| PoseEdge {
+            a: index(ends[0]),
+            b: index(ends[1]),
+            a_from_b,
+            information: Matrix6::from_row_slice(information),
+        })
+        .collect();
+    PoseGraph {
+        fixed: (0..start.len()).map(|k| k == 0).collect(),
+        poses: start,
+        edges,
+    }
+}
+
+#[test]
+fn pose_graphs_are_the_optima() {
+    let mut problems = Vec::new();
+    for case in Case::load_all("pose_graph") {
+        let mut solved = graph(&case);
+        let config = PoseGraphConfig {
+            iterations: 100,
+            cost_tolerance: 1e-20,
+            ..PoseGraphConfig::default()
+        };
+        let report = solved.optimise(&config).expect("sound input").report;
+        let rotations = solved.poses.iter().map(|p| p.rotation.matrix());
+        let translations = solved.poses.iter().map(|p| p.translation);
+        for (name, got) in [
+            ("cost_initial", vec![report.cost0]),
+            ("cost", vec![report.cost]),
+            ("rotation", rotations.flat_map(|r| row_major(&r)).collect()),
+            (
+                "translation",
+                translations.flat_map(<[f64; 3]>::from).collect(),
+            ),
+        ] {
+            problems.extend(case.check(name, &got).err());
+        }
+        // With the default settings the cost is within 1e-6 of the optimum.
+        let mut solved = graph(&case);
+        let report = solved.optimise(&PoseGraphConfig::default());
+        let Report { cost, stop, .. } = report.expect("sound input").report;
         let optimum = case.output("cost").f64()[0];
         if stop != StopReason::Converged || cost > optimum * (1.0 + 1e-6) {
             problems.push(format!("{}: {stop:?} at {cost}, {optimum}", case.name()));

@@ -1,0 +1,307 @@
+//! Loops whose best shape is known, derivatives by differences, and a sparse solver by others.
+
+use super::*;
+use crate::lm::StopReason;
+use faer::linalg::solvers::Solve;
+use faer::sparse::{SparseColMat, Triplet};
+use garad_core::{Rng, So3};
+use nalgebra::Vector3;
+use proptest::prelude::*;
+
+fn tight() -> PoseGraphConfig {
+    PoseGraphConfig {
+        iterations: 100,
+        cost_tolerance: 1e-20,
+        ..PoseGraphConfig::default()
+    }
+}
+
+fn random_motion(rng: &mut Rng, size: f64) -> Se3 {
+    Se3::exp(&Vector6::from_fn(|_, _| size * rng.normal()))
+}
+
+/// A random positive definite matrix with eigenvalues of order 1 to 10.
+fn random_information(rng: &mut Rng) -> Matrix6<f64> {
+    let j = Matrix6::from_fn(|_, _| rng.normal());
+    j.transpose() * j + Matrix6::identity()
+}
+
+/// A walk of n poses, with noise on its odometry, that is closed at every tenth pose.
+fn walk(n: usize, noise: f64) -> PoseGraph {
+    let mut rng = Rng::keyed(11, &[n as u64]);
+    let mut graph = PoseGraph::default();
+    let mut truth = vec![Se3::identity()];
+    for k in 1..n {
+        let forward = Se3::new(So3::exp(&Vector3::new(0.0, 0.3, 0.02)), Vector3::z() * -0.3);
+        truth.push(forward * random_motion(&mut rng, 0.05) * truth[k - 1]);
+    }
+    let mut edge = |a: usize, b: usize| PoseEdge {
+        a,
+        b,
+        a_from_b: truth[a] * truth[b].inverse() * random_motion(&mut rng, noise),
+        information: random_information(&mut rng),
+    };
+    let mut edges: Vec<PoseEdge> = (1..n).map(|k| edge(k, k - 1)).collect();
+    graph.add_pose(truth[0], true);
+    for k in 1..n {
+        let pose = edges[k - 1].a_from_b * graph.poses[k - 1];
+        assert_eq!(graph.add_pose(pose, false), k, "its index");
+    }
+    edges.extend((10..n).step_by(10).map(|k| edge(k, k - 10)));
+    graph.edges = edges;
+    graph
+}
+
+#[test]
+fn a_drift_of_translation_is_spread_evenly() {
+    // Round a square of one metre, each step measured 2 cm too long in x; rotations known.
+    let corners = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)];
+    let truth = corners.map(|(x, y)| Se3::new(So3::identity(), Vector3::new(x, y, 0.0)));
+    let drift = Se3::new(So3::identity(), Vector3::new(0.02, 0.0, 0.0));
+    let sure_of_rotation = Vector6::new(1.0, 1.0, 1.0, 1e12, 1e12, 1e12);
+    let mut graph = PoseGraph {
+        poses: vec![truth[0]; 4],
+        fixed: vec![true, false, false, false],
+        edges: (0..4)
+            .map(|k| PoseEdge {
+                a: (k + 1) % 4,
+                b: k,
+                a_from_b: drift * truth[(k + 1) % 4] * truth[k].inverse(),
+                information: Matrix6::from_diagonal(&sure_of_rotation),
+            })
+            .collect(),
+    };
+    let report = graph.optimise(&tight()).unwrap();
+    // Every edge is 2 cm off and all can be met but for the sum of 8 cm: each keeps its 2 cm.
+    for (pose, expected) in graph.poses.iter().zip(&truth) {
+        assert!((*pose * expected.inverse()).log().norm() < 1e-9, "{pose:?}");
+    }
+    assert!(
+        (report.report.cost - 4.0 * 0.5 * 4e-4).abs() < 1e-12,
+        "{report:?}"
+    );
+    assert!(
+        report.chi2.iter().all(|c| (c - 4e-4).abs() < 1e-12),
+        "{report:?}"
+    );
+}
+
+#[test]
+fn a_drift_of_rotation_is_spread_by_weight() {
+    // Turning on the spot by quarters, measured as 90° + 4°, 90°, 90°, 90°; the third edge counts half.
+    let turn = |deg: f64| So3::exp(&(Vector3::y() * deg.to_radians()));
+    let mut graph = PoseGraph::default();
+    for k in 0..4 {
+        graph.add_pose(
+            Se3::new(turn(90.0 * f64::from(k)), Vector3::zeros()),
+            k == 0,
+        );
+    }
+    for k in 0..4 {
+        graph.edges.push(PoseEdge {
+            a: (k + 1) % 4,
+            b: k,
+            a_from_b: Se3::new(turn(if k == 0 { 94.0 } else { 90.0 }), Vector3::zeros()),
+            information: Matrix6::identity() * if k == 2 { 0.5 } else { 1.0 },
+        });
+    }
+    let report = graph.optimise(&tight()).unwrap();
+    // 4° = 0.8° + 0.8° + 1.6° + 0.8°, in proportion to 1 / weight.
+    let expected = [0.0, 93.2, 182.4, 270.8].map(turn);
+    for (pose, expected) in graph.poses.iter().zip(expected) {
+        let error = (pose.rotation * expected.inverse()).log().norm();
+        assert!(error < 1e-9 && pose.translation.norm() < 1e-9, "{pose:?}");
+    }
+    let unit = 0.8f64.to_radians();
+    let expected = 0.5 * unit * unit * (3.0 + 0.5 * 4.0);
+    assert!((report.report.cost - expected).abs() < 1e-12, "{report:?}");
+}
+
+#[test]
+fn exact_edges_undo_any_disturbance() {
+    let mut graph = walk(60, 0.0);
+    let truth = graph.poses.clone();
+    let mut rng = Rng::new(2);
+    for pose in &mut graph.poses[1..] {
+        *pose = random_motion(&mut rng, 0.2) * *pose;
+    }
+    let report = graph.optimise(&tight()).unwrap();
+    assert!(report.report.cost < 1e-12, "{report:?}");
+    for (pose, expected) in graph.poses.iter().zip(&truth) {
+        assert!((*pose * expected.inverse()).log().norm() < 1e-6, "{pose:?}");
+    }
+}
+
+/// One closure in six is nonsense: Cauchy's kernel lets it go.
+#[test]
+fn a_wrong_closure_is_bent_around() {
+    let mut graph = walk(60, 0.001);
+    let truth = walk(60, 0.0);
+    let wrong = graph.edges.len() - 3;
+    graph.edges[wrong].a_from_b = random_motion(&mut Rng::new(5), 1.0);
+    let config = PoseGraphConfig {
+        kernel: RobustKernel::Cauchy { c: 0.02 },
+        ..tight()
+    };
+    let report = graph.optimise(&config).unwrap();
+    let worst = (0..report.chi2.len()).max_by(|&i, &j| report.chi2[i].total_cmp(&report.chi2[j]));
+    assert_eq!(worst, Some(wrong), "named by its chi2");
+    for edge in &truth.edges {
+        let others = edge.error(&graph.poses).log().norm();
+        assert!(
+            others < 0.02 || edge.a % 10 == 0,
+            "{} {}: {others}",
+            edge.a,
+            edge.b
+        );
+    }
+}
+
+proptest! {
+    /// Jacobians against central differences, through the same left perturbation.
+    #[test]
+    fn jacobians_are_derivatives(seed: u64, size in 0.0f64..0.8) {
+        let mut rng = Rng::new(seed);
+        let poses = [random_motion(&mut rng, 1.0), random_motion(&mut rng, 1.0)];
+        let edge = PoseEdge {
+            a: 0,
+            b: 1,
+            a_from_b: poses[0] * poses[1].inverse() * random_motion(&mut rng, size),
+            information: Matrix6::identity(),
+        };
+        let (r, by_a, by_b) = edge.linearise(&poses);
+        prop_assume!(r.fixed_rows::<3>(3).norm() < 2.8); // away from the kink of the logarithm
+        let h = 1e-5;
+        for (moved, jacobian) in [(0, by_a), (1, by_b)] {
+            for i in 0..6 {
+                let at = |h: f64| {
+                    let mut xi = Vector6::zeros();
+                    xi[i] = h;
+                    let mut poses = poses;
+                    poses[moved] = Se3::exp(&xi) * poses[moved];
+                    edge.error(&poses).log()
+                };
+                let column = (at(h) - at(-h)) / (2.0 * h);
+                let error = (column - jacobian.column(i)).amax();
+                prop_assert!(error < 1e-7, "pose {moved}, column {i}: {error}");
+            }
+        }
+    }
+}
+
+/// faer's sparse Cholesky, with its own order of elimination, finds the same step.
+#[test]
+fn another_solver_agrees() {
+    let graph = walk(80, 0.05);
+    let config = PoseGraphConfig::default();
+    let model = GraphModel::new(&graph, &config);
+    let system = (&model).linearise(&graph.poses);
+    let lambda = 1e-4;
+    let ours = system.solve(lambda).expect("positive definite").step;
+    let n = model.pattern.len();
+    let mut triplets = Vec::new();
+    let scale = system.scale();
+    for column in 0..n {
+        for row in column..n {
+            let block = if row == column {
+                Some(&system.hessian.diagonal[row])
+            } else {
+                let slot = model.pattern.slot(row, column);
+                slot.map(|slot| &system.hessian.lower[slot])
+            };
+            for (i, &value) in block.into_iter().flatten().enumerate() {
+                let (r, c) = (6 * row + i % 6, 6 * column + i / 6);
+                let damping = if r == c {
+                    lambda * scale[row][i % 6]
+                } else {
+                    0.0
+                };
+                if r >= c {
+                    triplets.push(Triplet::new(r, c, value + damping));
+                }
+            }
+        }
+    }
+    let matrix =
+        SparseColMat::<usize, f64>::try_new_from_triplets(6 * n, 6 * n, &triplets).unwrap();
+    let right = faer::Mat::from_fn(6 * n, 1, |i, _| -system.gradient[i / 6][i % 6]);
+    let theirs = matrix.sp_cholesky(faer::Side::Lower).unwrap().solve(&right);
+    let largest = ours.iter().map(Vector6::amax).fold(0.0, f64::max);
+    for k in 0..6 * n {
+        let error = (ours[k / 6][k % 6] - theirs[(k, 0)]).abs();
+        assert!(error < 1e-10 * largest, "unknown {k}: {error} of {largest}");
+    }
+}
+
+#[test]
+fn what_is_not_connected_stays() {
+    let mut graph = walk(5, 0.1);
+    let alone = Se3::new(So3::identity(), Vector3::new(7.0, 8.0, 9.0));
+    graph.add_pose(alone, false);
+    graph.optimise(&tight()).unwrap();
+    assert_eq!(graph.poses[5], alone, "no edge, no move");
+    let nothing = PoseGraph::default().optimise(&tight()).unwrap();
+    assert_eq!(
+        nothing.report.stop,
+        StopReason::ZeroGradient,
+        "an empty graph"
+    );
+}
+
+/// An edge from a pose to itself that is not the identity cannot be met and moves nothing else.
+#[test]
+fn a_pose_against_itself_is_constant() {
+    let mut graph = walk(3, 0.0);
+    let before = graph.poses.clone();
+    graph.edges.push(PoseEdge {
+        a: 2,
+        b: 2,
+        a_from_b: Se3::identity(),
+        information: Matrix6::identity(),
+    });
+    graph.optimise(&tight()).unwrap();
+    for (pose, before) in graph.poses.iter().zip(&before) {
+        assert!((*pose * before.inverse()).log().norm() < 1e-9, "{pose:?}");
+    }
+}
+
+type Change = fn(&mut PoseGraph);
+
+#[test]
+fn bad_input_is_named_and_nothing_moves() {
+    let error_of = |change: Change| {
+        let mut graph = walk(4, 0.1);
+        change(&mut graph);
+        let before = format!("{graph:?}");
+        let error = graph.optimise(&tight()).unwrap_err();
+        assert_eq!(before, format!("{graph:?}"), "untouched");
+        error.to_string()
+    };
+    let cases: [(Change, &str); 6] = [
+        (
+            |g| g.edges[1].a = 9,
+            "observation 1 refers to pose 9; there are 4",
+        ),
+        (|g| g.fixed.clear(), "fixed: 0 entries; expected 4"),
+        (
+            |g| g.poses[2].translation.x = f64::NAN,
+            "pose 2 is not finite",
+        ),
+        (
+            |g| g.edges[0].information[(1, 1)] = f64::INFINITY,
+            "edge 0 is not finite",
+        ),
+        (
+            |g| g.edges[2].information[(4, 4)] = -1.0,
+            "information of edge 2",
+        ),
+        (
+            |g| g.edges[2].information[(0, 4)] += 1.0,
+            "information of edge 2",
+        ),
+    ];
+    for (change, expected) in cases {
+        let error = error_of(change);
+        assert!(error.contains(expected), "{error}");
+    }
+}
