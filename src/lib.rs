@@ -18,6 +18,7 @@ pub use garad_slam as slam;
 pub use garad_synth as synth;
 
 pub mod config_file;
+pub mod conformance;
 pub mod output;
 pub mod pictures;
 pub mod progress;

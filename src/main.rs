@@ -28,6 +28,9 @@ enum Command {
     Render(commands::render::Args),
     /// Make a dynamic RGB-D recording with masks and exact poses.
     Synth(commands::synth::Args),
+    /// Check any implementation, in any language, against the golden cases.
+    #[command(subcommand)]
+    Golden(commands::golden::Command),
 }
 
 /// Exit code of bad input or usage.
@@ -48,6 +51,10 @@ fn main() -> ExitCode {
         Command::Eval(command) => commands::eval::run(&command),
         Command::Render(args) => commands::render::run(&args),
         Command::Synth(args) => commands::synth::run(&args),
+        Command::Golden(command) => match commands::golden::run(&command) {
+            Ok(code) => return code,
+            Err(error) => Err(error),
+        },
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

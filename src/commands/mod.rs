@@ -3,6 +3,7 @@
 pub(crate) mod demo;
 pub(crate) mod eval;
 pub(crate) mod eval_render;
+pub(crate) mod golden;
 pub(crate) mod render;
 pub(crate) mod run;
 pub(crate) mod synth;

@@ -11,7 +11,6 @@ use std::collections::BTreeMap;
 use garad_core::Real;
 use garad_golden::judge::Answers;
 use garad_golden::{Case, Dtype, Tensor};
-use thiserror::Error;
 
 use fields::Fields;
 
@@ -33,9 +32,16 @@ pub const STAGES: [&str; 13] = [
 ];
 
 /// A case that the stage could not be given.
-#[derive(Debug, Error)]
-#[error("{0}")]
+#[derive(Debug)]
 pub struct OwnError(String);
+
+impl std::fmt::Display for OwnError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for OwnError {}
 
 /// In which numbers, where a stage has both.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -122,7 +122,11 @@ fn last_words(log: &Path) -> String {
     let bytes = std::fs::read(log).unwrap_or_default();
     let tail = &bytes[bytes.len().saturating_sub(LAST_WORDS)..];
     let text = String::from_utf8_lossy(tail);
-    let lines: Vec<&str> = text.lines().map(str::trim).filter(|l| !l.is_empty()).collect();
+    let lines: Vec<&str> = text
+        .lines()
+        .map(str::trim)
+        .filter(|l| !l.is_empty())
+        .collect();
     match lines.as_slice() {
         [] => String::new(),
         lines => format!(": {}", lines.join(" | ")),
@@ -136,8 +140,16 @@ mod tests {
     #[test]
     fn quotes_hold_words_together() {
         let words = |line| split(line).unwrap();
-        assert_eq!(words("python3  a.py {case}"), ["python3", "a.py", "{case}"], "blanks");
-        assert_eq!(words("'my port' \"-x y\" ''"), ["my port", "-x y", ""], "quotes");
+        assert_eq!(
+            words("python3  a.py {case}"),
+            ["python3", "a.py", "{case}"],
+            "blanks"
+        );
+        assert_eq!(
+            words("'my port' \"-x y\" ''"),
+            ["my port", "-x y", ""],
+            "quotes"
+        );
         assert_eq!(words("a'b c'd"), ["ab cd"], "inside a word");
         assert!(split("  ").is_err() && split("a 'b").is_err(), "slips");
     }

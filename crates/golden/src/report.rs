@@ -9,7 +9,8 @@ use crate::judge::{CaseVerdict, Outcome, OutputVerdict, Verdict};
 use crate::stages;
 use crate::tol::Class;
 
-/// One line per case, with what failed below it; then which stage to look at first.
+/// One line per case, with what failed below it; then the stages the backend does not do, and which
+/// stage to look at first.
 #[must_use]
 pub fn table(verdicts: &[CaseVerdict]) -> String {
     let mut text = String::new();
@@ -22,7 +23,8 @@ pub fn table(verdicts: &[CaseVerdict]) -> String {
             "stage", "case"
         ),
     );
-    for verdict in verdicts {
+    let silent = |v: &&CaseVerdict| v.outcome == Outcome::Unsupported;
+    for verdict in verdicts.iter().filter(|v| !silent(v)) {
         let worst = verdict.worst().and_then(|output| {
             let comparison = output.comparison.as_ref()?;
             let dtype = output.dtype.map_or("", crate::Dtype::name);
@@ -56,6 +58,18 @@ pub fn table(verdicts: &[CaseVerdict]) -> String {
                 }
             }
         }
+    }
+    let mut stages: Vec<&str> = verdicts
+        .iter()
+        .filter(silent)
+        .map(|v| v.stage.as_str())
+        .collect();
+    stages.dedup();
+    if !stages.is_empty() {
+        line(
+            &mut text,
+            format_args!("unsupported: {}", stages.join(", ")),
+        );
     }
     text.push_str(&advice(verdicts));
     line(&mut text, format_args!("{}", summary(verdicts)));

@@ -50,6 +50,7 @@ pub const STAGES: &[Stage] = &[
     stage("reprojection", "pose lm", &["se3", "camera"], "residuals and Jacobians"),
     stage("pose_lm", "pose lm", &["se3", "reprojection", "robust"], "the pose with the least cost"),
     stage("bundle", "bundle adjustment", &["se3", "reprojection", "robust"], "poses and points with the least cost"),
+    stage("pose_graph", "pose graph", &["se3"], "poses that agree best with their relations"),
     stage("unary", "cues and unary", &[], "four cues to the probability of being static"),
     stage("kernel", "mean field", &[], "the two pairwise kernels"),
     stage("mean_field", "mean field", &["unary", "kernel"], "marginals after each iteration"),

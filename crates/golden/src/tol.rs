@@ -87,6 +87,14 @@ pub const TABLE: &[Tolerance] = &[
     abs_rel("camera.jacobian", 1e-13, 1e-15, "a few products and one division"),
     abs_rel("camera.pixel", 2e-13, 1e-15, "a pixel is a difference of numbers of size 500, spacing 1.1e-13"),
     abs_rel("camera.undistorted", 1e-12, 0.0, "as pixels, through a Newton step"),
+    // sh: the basis of degree 3 has terms of size 3 that cancel
+    abs_rel("sh.basis", 2e-15, 0.0, "three products and a sum, coefficients up to 3"),
+    abs_rel("sh.gradient", 1e-14, 0.0, "derivatives up to 5, projected onto the tangent plane"),
+    abs_rel("sh.color", 4e-15, 0.0, "a sum of 16 products of size 0.5"),
+    // train_step: gradients through the losses, then Adam
+    abs_rel("train_step.loss", 0.0, 3e-14, "as losses.value"),
+    vector("train_step.gradient", 0.0, 1.5e-13, "as losses.gradient"),
+    abs_rel("train_step.parameter", 1e-12, 0.0, "a step of at most 0.25 whose size is the quotient of two gradients"),
     // raster, forward in f64
     abs_rel("raster.color", 1e-13, 1e-13, "measured 1e-14: alpha is conditioned like its power, |power| < 6, and power like the mean over the thinnest sigma"),
     vector("raster.depth", 0.0, 1e-13, "as colour, in metres"),
