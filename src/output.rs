@@ -6,6 +6,7 @@
 //! | `map.ply` | Gaussians, standard 3DGS layout |
 //! | `metrics.json` | every figure, for machines |
 //! | `report.html` | one page for people |
+//! | `labels/` | what was found to move: `keypoints.csv`, `masks/*.png` (a value per 4 x 4 pixels), `gaussians.csv` |
 //! | `pictures/` | input, render, depth and keypoints of a few frames |
 //! | `config.toml` | every number as used |
 
@@ -174,6 +175,7 @@ pub fn write(out: &Path, result: &RunResult, judged: &Judged, warnings: &[String
         result.gaussians()?,
         &PlyOptions::default(),
     );
+    write_labels(&out.join("labels"), result)?;
     let config = crate::config_file::write(result.slam.config())?;
     write_bytes_atomically(&out.join("config.toml"), config.as_bytes())?;
     write_bytes_atomically(
@@ -195,6 +197,27 @@ pub fn write(out: &Path, result: &RunResult, judged: &Judged, warnings: &[String
     let report = report(result, judged, warnings, &config, &drawn);
     write_bytes_atomically(&out.join("report.html"), report.as_bytes())?;
     map?;
+    Ok(())
+}
+
+/// The labels of every frame that has any; nothing if nothing was labelled.
+fn write_labels(out: &Path, result: &RunResult) -> Result<()> {
+    if result.found.is_empty() {
+        return Ok(());
+    }
+    let masks = out.join("masks");
+    std::fs::create_dir_all(&masks)
+        .with_context(|| format!("{}: cannot make the folder", masks.display()))?;
+    let mut rows = String::from("frame,x_px,y_px,moves\n");
+    for found in &result.found {
+        for ([x, y], label) in &found.keypoints {
+            let moves = u8::from(*label == Label::Dynamic);
+            rows.push_str(&format!("{},{x:.1},{y:.1},{moves}\n", found.frame.0));
+        }
+        let png = pictures::png_gray(&found.cells)?;
+        write_bytes_atomically(&masks.join(format!("{:06}.png", found.frame.0)), &png)?;
+    }
+    write_bytes_atomically(&out.join("keypoints.csv"), rows.as_bytes())?;
     Ok(())
 }
 

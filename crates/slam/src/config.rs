@@ -474,12 +474,16 @@ pub struct LabelConfig {
     pub enabled: bool,
     /// Everything is static in the first frames.
     pub bootstrap_frames: u32,
-    /// A given mask grows by this radius before it is asked, px: descriptors reach that far. The
-    /// photometric loss keeps as far from every mask.
+    /// Keypoints this near to what a given mask says moves are not used, px; the photometric loss
+    /// keeps as far from every mask.
     pub dilate_px: usize,
-    /// A keypoint this near to a pixel that was found to move moves, too, px: its descriptor and its
-    /// depth reach across the edge.
+    /// A keypoint this near to a pixel that was found to move is not used, px: its descriptor and
+    /// its depth reach across the edge.
     pub reach_px: usize,
+    /// Probability of being static that a sample keeps if every witness agrees with it.
+    pub trust_agreement: f64,
+    /// The same for a sample that no witness knows.
+    pub trust_unknown: f64,
     /// Keyframes of the last so many frames are asked what was there before.
     pub memory_frames: u32,
     /// One sample of the picture every so many pixels, each way.
@@ -504,6 +508,8 @@ impl Default for LabelConfig {
             bootstrap_frames: 10,
             dilate_px: 8,
             reach_px: 8,
+            trust_agreement: 0.6,
+            trust_unknown: 0.55,
             memory_frames: 60,
             step_px: 16,
             noise: DepthNoise {
@@ -653,6 +659,10 @@ impl Config {
              inside(0.0, self.labels.noise.floor_m, f64::INFINITY), positive),
             ("labels.noise.per_m", self.labels.noise.per_m,
              self.labels.noise.per_m >= 0.0 && self.labels.noise.per_m.is_finite(), "0 or a positive number"),
+            ("labels.trust_agreement", self.labels.trust_agreement,
+             inside(0.0, self.labels.trust_agreement, 1.0), share),
+            ("labels.trust_unknown", self.labels.trust_unknown,
+             inside(0.0, self.labels.trust_unknown, 1.0), share),
             ("labels.edge_ratio", self.labels.edge_ratio,
              inside(0.0, self.labels.edge_ratio, f64::INFINITY), positive),
             ("flow.covariance_floor_px2", self.flow.covariance_floor_px2,

@@ -31,8 +31,11 @@ pub struct Frame {
     pub depth_m: Vec<Option<f64>>,
     /// The patch around the keypoint shows one surface: depths 10 px around it are near its own.
     pub one_surface: Vec<bool>,
-    /// Keypoints on moving things take part in nothing.
+    /// Does the keypoint sit on something that moves?
     pub label: Vec<Label>,
+    /// Keypoints that move take part in nothing, nor do those so near to something that moves that
+    /// their descriptor or depth reaches across the edge.
+    pub in_use: Vec<bool>,
     /// The landmark behind each keypoint.
     pub landmark: Vec<Option<LandmarkId>>,
     grid: Grid,
@@ -73,9 +76,14 @@ impl Frame {
         let one_surface = px.iter().map(|p| one_surface(depth, p, ratio)).collect();
         let label: Vec<_> = px
             .iter()
-            .map(|p| mask.map_or(Label::Static, |m| label_at(m, p, config.labels.dilate_px)))
+            .map(|p| mask.map_or(Label::Static, |m| label_at(m, p, 0)))
             .collect();
-        let grid = Grid::new(camera, &uv_px, &label);
+        let reach_px = config.labels.dilate_px;
+        let in_use: Vec<_> = px
+            .iter()
+            .map(|p| mask.is_none_or(|m| label_at(m, p, reach_px) == Label::Static))
+            .collect();
+        let grid = Grid::new(camera, &uv_px, &in_use);
         Self {
             id,
             t_s,
@@ -89,6 +97,7 @@ impl Frame {
             depth_m,
             one_surface,
             label,
+            in_use,
             grid,
         }
     }
@@ -137,22 +146,25 @@ impl Frame {
         }
     }
 
-    /// Gives every keypoint a label. Those that move lose their landmark, and no search finds them.
+    /// Gives every keypoint a label, and says which take part in matching. The others lose their
+    /// landmark, and no search finds them.
     ///
     /// # Panics
-    /// Unless there is a label for every keypoint.
-    pub fn set_labels(&mut self, label: Vec<Label>, camera: &Camera) {
+    /// Unless there is a label and a decision for every keypoint.
+    pub fn set_labels(&mut self, label: Vec<Label>, in_use: Vec<bool>, camera: &Camera) {
         assert_eq!(label.len(), self.len(), "a label per keypoint");
-        for (landmark, label) in self.landmark.iter_mut().zip(&label) {
-            if *label == Label::Dynamic {
+        assert_eq!(in_use.len(), self.len(), "a decision per keypoint");
+        for (landmark, in_use) in self.landmark.iter_mut().zip(&in_use) {
+            if !in_use {
                 *landmark = None;
             }
         }
-        self.grid = Grid::new(camera, &self.uv_px, &label);
+        self.grid = Grid::new(camera, &self.uv_px, &in_use);
         self.label = label;
+        self.in_use = in_use;
     }
 
-    /// Static keypoints within `radius_px` of a place, at levels `low..=high`, in index order
+    /// Keypoints in use within `radius_px` of a place, at levels `low..=high`, in index order
     /// within each cell.
     pub fn near(
         &self,
@@ -292,12 +304,12 @@ struct Grid {
 const CELL_PX: f64 = 10.0;
 
 impl Grid {
-    fn new(camera: &Camera, uv_px: &[Vector2<f64>], label: &[Label]) -> Self {
+    fn new(camera: &Camera, uv_px: &[Vector2<f64>], in_use: &[bool]) -> Self {
         let columns = cell_of(camera.width as f64, usize::MAX) + 1;
         let rows = cell_of(camera.height as f64, usize::MAX) + 1;
         let cell = |i: usize| {
             let uv = &uv_px[i];
-            (label[i] == Label::Static && camera.contains(uv))
+            (in_use[i] && camera.contains(uv))
                 .then(|| cell_of(uv.y, rows - 1) * columns + cell_of(uv.x, columns - 1))
         };
         // Counting sort: stable, so indices ascend within a cell.
@@ -441,8 +453,13 @@ mod tests {
             &depth,
             Some(&mask),
         );
-        let expected = [Label::Static, Label::Dynamic, Label::Dynamic];
-        assert_eq!(frame.label, expected, "left, within the dilation, inside");
+        let expected = [Label::Static, Label::Static, Label::Dynamic];
+        assert_eq!(frame.label, expected, "left, near the edge, inside");
+        assert_eq!(
+            frame.in_use,
+            [true, false, false],
+            "near the edge is not to be trusted"
+        );
         let all: Vec<_> = frame.near(&Vector2::new(32.0, 24.0), 100.0, 0, 7).collect();
         assert_eq!(all, [0], "only the static one can be matched");
     }

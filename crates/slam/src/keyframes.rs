@@ -1,6 +1,6 @@
 //! Keyframes: when a frame is kept, which landmarks it makes, which are thrown out.
 
-use garad_core::{Camera, KeyframeId, Label, LandmarkId};
+use garad_core::{Camera, KeyframeId, LandmarkId};
 
 use crate::frame::Frame;
 use crate::map::{Map, by_count};
@@ -24,7 +24,7 @@ impl Slam {
         let close = |i: &usize| frame.depth_m[*i].is_some_and(|d| d < config.close_m);
         let (tracked, untracked): (Vec<_>, Vec<_>) = (0..frame.len())
             .filter(close)
-            .filter(|&i| frame.label[i] == Label::Static)
+            .filter(|&i| frame.in_use[i])
             .partition(|&i| frame.landmark[i].is_some());
         let need_close = tracked.len() < config.close_tracked_min
             && untracked.len() > config.close_untracked_min;
@@ -86,7 +86,7 @@ impl Slam {
         let config = &self.config.keyframes;
         let keyframe = self.map.keyframe(id);
         let mut by_depth: Vec<(f64, usize)> = (0..keyframe.len())
-            .filter(|&i| keyframe.label[i] == Label::Static)
+            .filter(|&i| keyframe.in_use[i])
             .filter_map(|i| Some((keyframe.depth_m[i]?, i)))
             .collect();
         by_depth.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));

@@ -3,7 +3,7 @@
 //! Every search walks its candidates in a fixed order (keypoints by cell and index, landmarks by
 //! id), and a keypoint that is taken stays taken, so the same input gives the same matches.
 
-use garad_core::{Camera, Label, LandmarkId, Par};
+use garad_core::{Camera, LandmarkId, Par};
 use garad_features::matching::{RotationBins, consistent_rotation, match_descriptors};
 use garad_features::{Match, MatchConfig};
 use nalgebra::Vector2;
@@ -138,7 +138,7 @@ impl Matcher<'_> {
             .filter(|&i| keyframe.landmark[i].is_some_and(|l| map.static_landmark(l).is_some()))
             .collect();
         let free: Vec<_> = (0..frame.len())
-            .filter(|&i| frame.label[i] == Label::Static && frame.uv_px[i].x.is_finite())
+            .filter(|&i| frame.in_use[i] && frame.uv_px[i].x.is_finite())
             .collect();
         let config = MatchConfig {
             max_distance: self.config.match_distance_strict,

@@ -454,7 +454,7 @@ impl Slam {
     /// The first frame with enough depth is the world.
     fn initialise(&mut self, frame: &mut Frame) -> usize {
         let usable = (0..frame.len())
-            .filter(|&i| frame.depth_m[i].is_some() && frame.label[i] == Label::Static)
+            .filter(|&i| frame.depth_m[i].is_some() && frame.in_use[i])
             .count();
         if usable < self.config.keyframes.first_min_keypoints {
             return 0;

@@ -6,7 +6,7 @@
 //! | `track_reference` | the reference keyframe's descriptors, if that failed | first pose |
 //! | `track_local_map` | everything the neighbourhood's keyframes see | final pose |
 
-use garad_core::{DepthImage, Label, LandmarkId, Se3};
+use garad_core::{DepthImage, LandmarkId, Se3};
 use garad_features::LkPyramid;
 use garad_optim::{DepthObservation, PoseConfig, PoseObservation, optimise_pose};
 
@@ -162,11 +162,7 @@ impl Slam {
                 frame.landmark[i] = None;
                 continue;
             };
-            debug_assert_eq!(
-                frame.label[i],
-                Label::Static,
-                "only static keypoints are linked"
-            );
+            debug_assert!(frame.in_use[i], "only keypoints in use are linked");
             keypoints.push(i);
             observations.push(self.observation(frame, i, landmark.p_world));
         }

@@ -29,7 +29,7 @@ impl Slam {
             .filter(|&i| frame.label[i] == Label::Dynamic)
             .collect();
         let all_static: Vec<usize> = (0..frame.len())
-            .filter(|&i| frame.label[i] == Label::Static && frame.uv_px[i].x.is_finite())
+            .filter(|&i| frame.in_use[i] && frame.uv_px[i].x.is_finite())
             .collect();
         if suspects.is_empty() || all_static.is_empty() {
             return 0;
@@ -81,15 +81,16 @@ impl Slam {
         let Ok(answer) = verify_flow(&model, &flows, &config.check()) else {
             return 0;
         };
-        let mut label = frame.label.clone();
+        let (mut label, mut in_use) = (frame.label.clone(), frame.in_use.clone());
         let mut recovered = 0;
         for (i, verdict) in asked.into_iter().zip(answer.verdicts) {
             if verdict.is_some_and(|v| v.inside) {
                 label[i] = Label::Static;
+                in_use[i] = true;
                 recovered += 1;
             }
         }
-        frame.set_labels(label, &self.camera);
+        frame.set_labels(label, in_use, &self.camera);
         recovered
     }
 }

@@ -1,7 +1,7 @@
 //! One frame: samples, their depth cue, the field, keypoint labels and the mask.
 
 use garad_core::{Camera, DepthImage, FrameId, Image, Label, MaskImage, Real};
-use garad_crf::{Cues, Node};
+use garad_crf::{Cues, Node, unary};
 use nalgebra::{Vector2, Vector3};
 
 use super::witness::{CELL_PX, Court};
@@ -139,21 +139,44 @@ impl Slam {
         if suspects as f64 > config.max_moving * judged as f64 {
             return None;
         }
+        let log_odds: Vec<f64> = nodes.iter().map(|n| self.log_odds(&n.cues)).collect();
         // Numbers come from depths and poses that are finite: the answer is never an error.
-        let beliefs = self.crf.infer(&nodes, self.par).ok()?;
+        let beliefs = self.crf.infer_from_log_odds(&nodes, &log_odds, self.par);
+        let beliefs = beliefs.ok()?;
 
         let (of_keypoints, of_lattice) = beliefs.dynamic.split_at(keypoints.len());
         let cells = self.cells(&lattice, of_lattice, depth);
-        let reach = config.reach_px.div_ceil(CELL_PX);
-        let near = mask::dilated(&cells, reach);
-        let mut label: Vec<Label> = frame.px.iter().map(|px| label_at(&near, px)).collect();
+        let mut label: Vec<Label> = frame.px.iter().map(|px| label_at(&cells, px)).collect();
         for ((i, _), belief) in keypoints.iter().zip(of_keypoints) {
-            if *belief > self.config.crf.threshold {
-                label[*i] = Label::Dynamic;
-            }
+            label[*i] = match *belief > self.config.crf.threshold {
+                true => Label::Dynamic,
+                false => Label::Static,
+            };
         }
-        frame.set_labels(label, &self.camera);
+        let near = mask::dilated(&cells, config.reach_px.div_ceil(CELL_PX));
+        let in_use = frame
+            .px
+            .iter()
+            .zip(&label)
+            .map(|(px, label)| *label == Label::Static && label_at(&near, px) == Label::Static);
+        let in_use = in_use.collect();
+        frame.set_labels(label, in_use, &self.camera);
         Some(cells)
+    }
+
+    /// What the cues of a sample say for its moving. That it stands where something stood before
+    /// says little: whatever pauses for a moment does.
+    fn log_odds(&self, cues: &Cues) -> f64 {
+        let p_static = match cues.depth_residual {
+            Some(_) => unary::p_static(cues, &self.config.crf.unary),
+            None => 1.0,
+        };
+        let trust = match cues.depth_residual {
+            Some(_) => self.config.labels.trust_agreement,
+            None => self.config.labels.trust_unknown,
+        };
+        let p = (p_static * trust).max(self.config.crf.unary.clamp);
+        Real::ln((1.0 - p) / p)
     }
 
     /// Keypoints with depth, by index.
