@@ -181,6 +181,9 @@ pub const TABLE: &[Tolerance] = &[
     abs_rel("pose_graph.cost_initial", 0.0, 1e-12, "no optimisation in it; scipy's matrix logarithm is good to some 1e-15 of residuals of 0.03 and more"),
     abs_rel("pose_graph.cost", 0.0, 1e-11, "flat at the optimum, and as the cost at the start"),
     abs_rel("pose_graph.pose", 5e-9, 0.0, "rad, m: measured 1.4e-9; the reference stops at steps of 1e-13, we where a cost of 40 is flat to its last digit"),
+    // pnp
+    abs_rel("pnp.exact", 1e-9, 0.0, "rad, m: pixels have a spacing of 1e-13 of 500, and triples lose up to 1/conditioning = 300 of that, twice"),
+    abs_rel("pnp.pose", 1e-8, 0.0, "as pose.pose: where the cost is flat to its last digit"),
     // dataset
     abs_rel("dataset.rotation", 1e-15, 0.0, "entries of R, three products of unit quaternions against three of matrices"),
     abs_rel("dataset.translation", 2e-15, 0.0, "m: positions of size 3, spacing 4.4e-16, and a lever of 2 cm"),

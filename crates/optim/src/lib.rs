@@ -2,7 +2,7 @@
 //!
 //! Reading order: [`robust`] (how much a residual pulls) → [`lm`] (the loop) → [`dense`] (problems
 //! of few unknowns, as visitors of residual blocks) and [`solve`] (their linear systems) →
-//! [`reprojection`] (the residual of eq. 11) → [`pose`] (the camera alone) → [`bundle`] (cameras and
+//! [`reprojection`] (the residual of eq. 11) → [`pose`] (the camera alone), [`pnp`] (from anywhere) → [`bundle`] (cameras and
 //! points, through a Schur complement) → [`pose_graph`] (poses alone, around a loop). [`adam`] walks down gradients instead. [`check`] compares any Jacobian with finite differences.
 //!
 //! # Example
@@ -33,6 +33,7 @@ pub mod check;
 pub mod dense;
 pub mod error;
 pub mod lm;
+pub mod pnp;
 pub mod pose;
 pub mod pose_graph;
 pub mod reprojection;
@@ -45,6 +46,7 @@ pub use bundle::{BundleConfig, BundleObservation, BundleReport, optimise_bundle}
 pub use check::check_jacobian;
 pub use error::OptimError;
 pub use lm::{LmConfig, Report, StopReason};
+pub use pnp::{PnpConfig, PnpResult, p3p, solve_pnp_ransac};
 pub use pose::{DepthObservation, PoseConfig, PoseObservation, PoseSolution, optimise_pose};
 pub use pose_graph::{PoseEdge, PoseGraph, PoseGraphConfig, PoseGraphReport};
 pub use robust::RobustKernel;

@@ -120,7 +120,7 @@ impl PoseGraph {
     /// Moves the free poses to where the edges want them, by Levenberg-Marquardt.
     ///
     /// # Numerics
-    /// f64, sums in the order of the edges, sparse LDLᵀ of 6x6 blocks ([`crate::blocks`]): the same
+    /// f64, sums in the order of the edges, sparse LDLᵀ of 6x6 blocks (`blocks`): the same
     /// bits on every machine. Rotations of a residual near π have a kink in their logarithm: start
     /// from poses that are less than half a turn wrong.
     ///

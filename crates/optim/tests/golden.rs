@@ -1,13 +1,13 @@
 //! Optima found elsewhere (scipy, mpmath) must be found here too.
 
-use garad_core::{Camera, Se3, So3};
+use garad_core::{Camera, Par, Se3, So3};
 use garad_golden::Case;
 use garad_optim::dense::{Problem, Recorder};
 use garad_optim::pose::PoseProblem;
 use garad_optim::{
-    BundleConfig, BundleObservation, BundleReport, DepthObservation, PoseConfig, PoseEdge,
-    PoseGraph, PoseGraphConfig, PoseObservation, PoseSolution, Report, RobustKernel, StopReason,
-    optimise_bundle, optimise_pose,
+    BundleConfig, BundleObservation, BundleReport, DepthObservation, PnpConfig, PoseConfig,
+    PoseEdge, PoseGraph, PoseGraphConfig, PoseObservation, PoseSolution, Report, RobustKernel,
+    StopReason, optimise_bundle, optimise_pose, p3p, solve_pnp_ransac,
 };
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
 
@@ -114,6 +114,73 @@ fn ten_trials_are_enough() {
             assert!(report.cost <= report.cost0, "{}: {report:?}", case.name());
         }
     }
+}
+
+/// The true pose is among those of each triple; of several answers the nearest is compared.
+fn poses_of_triples(case: &Case) -> (Vec<f64>, Vec<f64>) {
+    let (points, uv) = (case.input("p_world").f64(), case.input("uv").f64());
+    let rotations = case.output("rotation").f64();
+    let truth = poses(&rotations, &case.output("translation").f64());
+    let (mut rotation, mut translation) = (Vec::new(), Vec::new());
+    for (i, truth) in truth.iter().enumerate() {
+        let p_world = [0, 1, 2].map(|k| Vector3::from_column_slice(&points[9 * i + 3 * k..][..3]));
+        let seen = [0, 1, 2].map(|k| {
+            let uv_px = Vector2::from_column_slice(&uv[6 * i + 2 * k..][..2]);
+            camera(case).unproject(&uv_px, 1.0)
+        });
+        let error = |pose: &Se3| (*pose * truth.inverse()).log().norm();
+        let found = p3p(&seen, &p_world);
+        let nearest = found
+            .iter()
+            .min_by(|a, b| error(a).total_cmp(&error(b)))
+            .unwrap_or_else(|| panic!("{}: triple {i} has no pose", case.name()));
+        rotation.extend(row_major(&nearest.rotation.matrix()));
+        translation.extend(nearest.translation.iter());
+    }
+    (rotation, translation)
+}
+
+#[test]
+fn lost_cameras_are_found() {
+    let mut problems = Vec::new();
+    for case in Case::load_all("pnp") {
+        if case.has_flag("exact") {
+            let (rotation, translation) = poses_of_triples(&case);
+            problems.extend(case.check("rotation", &rotation).err());
+            problems.extend(case.check("translation", &translation).err());
+            continue;
+        }
+        let tensors = ["p_world", "uv", "sigma"].map(|name| case.input(name).f64());
+        let [p_world, uv, sigma] = &tensors;
+        let observations: Vec<_> = (0..sigma.len())
+            .map(|i| PoseObservation {
+                p_world: Vector3::from_column_slice(&p_world[3 * i..3 * i + 3]),
+                uv_px: Vector2::from_column_slice(&uv[2 * i..2 * i + 2]),
+                sigma_px: sigma[i],
+                depth: None,
+            })
+            .collect();
+        let config = PnpConfig {
+            pose: PoseConfig {
+                iterations: 60,
+                cost_tolerance: 1e-18,
+                ..PoseConfig::default()
+            },
+            ..PnpConfig::default()
+        };
+        let result = solve_pnp_ransac(&camera(&case), &observations, &config, Par::Threads(2));
+        let result = result.expect("sound input").expect("a pose");
+        let pose = result.camera_from_world;
+        let inlier = result.inlier.iter().map(|&i| f64::from(u8::from(i)));
+        for (name, got) in [
+            ("rotation", row_major(&pose.rotation.matrix())),
+            ("translation", pose.translation.iter().copied().collect()),
+            ("inlier", inlier.collect()),
+        ] {
+            problems.extend(case.check(name, &got).err());
+        }
+    }
+    assert!(problems.is_empty(), "{}", problems.join("\n"));
 }
 
 #[test]

@@ -1,0 +1,138 @@
+//! Lost cameras: planted poses among wrong matches, and input that allows no pose.
+
+use super::*;
+use crate::reprojection::DepthObservation;
+use nalgebra::{Vector2, Vector6};
+
+const BF: f64 = 40.0;
+
+fn camera() -> Camera {
+    Camera::pinhole((640, 480), [535.4, 539.2, 320.1, 247.6]).unwrap()
+}
+
+/// n matches of which the first `wrong` are anywhere, the others within noise.
+fn matches(seed: u64, n: usize, wrong: usize, noise_px: f64) -> (Se3, Vec<PoseObservation>) {
+    let mut rng = Rng::keyed(8, &[seed]);
+    let pose = Se3::exp(&Vector6::from_fn(|_, _| rng.normal()));
+    let observations = (0..n)
+        .map(|i| {
+            let seen = Vector2::new(rng.range(0.0, 640.0), rng.range(0.0, 480.0));
+            let depth_m = rng.range(0.8, 6.0);
+            let uv_px = if i < wrong {
+                Vector2::new(rng.range(0.0, 640.0), rng.range(0.0, 480.0))
+            } else {
+                seen + Vector2::new(rng.normal(), rng.normal()) * noise_px
+            };
+            let depth = DepthObservation::right_from_depth(uv_px.x, 1.0, depth_m, 0.02, BF);
+            PoseObservation {
+                p_world: pose.inverse() * camera().unproject(&seen, depth_m),
+                uv_px,
+                sigma_px: 1.0,
+                depth: (i % 3 != 0).then_some(depth),
+            }
+        })
+        .collect();
+    (pose, observations)
+}
+
+fn solve(observations: &[PoseObservation]) -> Option<PnpResult> {
+    solve_pnp_ransac(&camera(), observations, &PnpConfig::default(), Par::Seq).unwrap()
+}
+
+#[test]
+fn half_of_the_matches_may_be_wrong() {
+    for seed in 0..20 {
+        let (truth, observations) = matches(seed, 120, 60, 0.7);
+        let result = solve(&observations).unwrap_or_else(|| panic!("seed {seed}: no pose"));
+        let error = (result.camera_from_world * truth.inverse()).log().norm();
+        assert!(error < 0.02, "seed {seed}: {error}");
+        assert_eq!(result.n_inliers, count(&result.inlier), "counted");
+        let right = count(&result.inlier[60..]);
+        assert!(right >= 55, "seed {seed}: {right} of 60 found again");
+        assert!(
+            result.n_inliers - right <= 2,
+            "seed {seed}: wrong ones believed"
+        );
+    }
+}
+
+#[test]
+fn clean_matches_end_early_and_exactly() {
+    let (truth, observations) = matches(1, 50, 0, 0.0);
+    let result = solve(&observations).unwrap();
+    assert_eq!(result.samples, BATCH, "one batch");
+    assert_eq!(result.n_inliers, 50, "all");
+    let error = (result.camera_from_world * truth.inverse()).log().norm();
+    assert!(error < 1e-6, "{error}");
+}
+
+#[test]
+fn threads_change_nothing() {
+    let (_, observations) = matches(3, 100, 50, 1.0);
+    let config = PnpConfig::default();
+    let run = |par| solve_pnp_ransac(&camera(), &observations, &config, par).unwrap();
+    let expected = run(Par::Seq);
+    assert!(expected.is_some(), "a pose");
+    for threads in [2, 3] {
+        assert_eq!(run(Par::Threads(threads)), expected, "{threads} threads");
+    }
+}
+
+#[test]
+fn no_pose_is_an_answer() {
+    let (_, all) = matches(5, 60, 60, 1.0);
+    assert_eq!(solve(&all), None, "nothing but wrong matches");
+    assert_eq!(solve(&[]), None, "nothing");
+    assert_eq!(solve(&all[..2]), None, "two");
+    let (_, good) = matches(6, 9, 0, 0.5);
+    assert_eq!(solve(&good), None, "nine agree, ten are asked for");
+    let on_a_line = |i: usize| PoseObservation {
+        p_world: Vector3::new(0.01 * i as f64, 0.0, 2.0),
+        uv_px: Vector2::new(320.0 + 2.0 * i as f64, 240.0),
+        sigma_px: 1.0,
+        depth: None,
+    };
+    let line: Vec<_> = (0..30).map(on_a_line).collect();
+    assert_eq!(solve(&line), None, "a line");
+    let one: Vec<_> = (0..30).map(|_| on_a_line(3)).collect();
+    assert_eq!(solve(&one), None, "one place");
+}
+
+#[test]
+fn bad_input_is_named() {
+    let (_, good) = matches(7, 20, 0, 0.5);
+    let error_of = |observations: &[PoseObservation], config: &PnpConfig| {
+        let result = solve_pnp_ransac(&camera(), observations, config, Par::Seq);
+        result.unwrap_err().to_string()
+    };
+    let mut nan = good.clone();
+    nan[4].p_world.y = f64::NAN;
+    let error = error_of(&nan, &PnpConfig::default());
+    assert!(error.contains("p_world of observation 4"), "{error}");
+    let mut no_sigma = good.clone();
+    no_sigma[2].sigma_px = 0.0;
+    let error = error_of(&no_sigma, &PnpConfig::default());
+    assert!(error.contains("sigma_px of observation 2"), "{error}");
+    for confidence in [0.0, 1.0, f64::NAN] {
+        let config = PnpConfig {
+            confidence,
+            ..PnpConfig::default()
+        };
+        let error = error_of(&good, &config);
+        assert!(error.contains("confidence"), "{confidence}: {error}");
+    }
+}
+
+#[test]
+fn samples_by_hand() {
+    // Half right: 1 in 8 triples is clean; ln 0.01 / ln 0.875 = 34.5.
+    assert_eq!(samples_needed(0.5, 0.99), 35);
+    assert_eq!(samples_needed(1.0, 0.99), 1, "all right");
+    assert_eq!(samples_needed(0.0, 0.99), usize::MAX, "none");
+    let mut rng = Rng::new(0);
+    for _ in 0..50 {
+        let mut three = three_of(3, &mut rng);
+        three.sort_unstable();
+        assert_eq!(three, [0, 1, 2], "all different");
+    }
+}
