@@ -10,13 +10,15 @@ use garad::conformance::own::{self, Width};
 use garad::conformance::port::{self, Ended, Job};
 use garad::progress;
 use garad_golden::judge::{Answers, CaseVerdict, Outcome, judge, read_answers};
-use garad_golden::{Case, Class, report, stages, tol};
+use garad_golden::{Case, Class, npy, report, stages, tol};
 use serde_json::{Value, json};
 
 use super::{make_folder, say};
 
 /// Exit code when a case fails.
 const FAILED: u8 = 1;
+/// Exit code of a port that does not do a stage; [`port::UNSUPPORTED`].
+const UNSUPPORTED: u8 = 77;
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
@@ -25,6 +27,8 @@ pub(crate) enum Command {
     /// Compare a port's outputs, or a port itself, with the expected ones. Exit code 0: all
     /// pass, 1: some fail, 2: the command is wrong.
     Check(CheckArgs),
+    /// Write this project's outputs of one case as OUTPUT.npy: what a port would write.
+    Answer(AnswerArgs),
     /// The tolerances and the reasons for them.
     Tolerances,
 }
@@ -89,16 +93,37 @@ struct Backend {
     own: Option<OwnWidth>,
 }
 
+#[derive(Debug, Args)]
+pub(crate) struct AnswerArgs {
+    /// Folder of the case.
+    case: PathBuf,
+    /// Folder for the outputs.
+    out: PathBuf,
+    /// In f64, or in f32 where a stage has both.
+    #[arg(long, value_enum, default_value = "f64")]
+    width: OwnWidth,
+}
+
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum OwnWidth {
     F64,
     F32,
 }
 
+impl From<OwnWidth> for Width {
+    fn from(width: OwnWidth) -> Self {
+        match width {
+            OwnWidth::F64 => Self::F64,
+            OwnWidth::F32 => Self::F32,
+        }
+    }
+}
+
 pub(crate) fn run(command: &Command) -> Result<ExitCode> {
     match command {
         Command::List(args) => list(args)?,
         Command::Check(args) => return check(args),
+        Command::Answer(args) => return answer(args),
         Command::Tolerances => tolerances()?,
     }
     Ok(ExitCode::SUCCESS)
@@ -236,6 +261,25 @@ fn tolerances() -> Result<()> {
     )
 }
 
+/// Exit code 77 for a stage that is not among [`own::STAGES`], as for any port.
+fn answer(args: &AnswerArgs) -> Result<ExitCode> {
+    let case = Case::load(&args.case)?;
+    let Some(answers) = own::answers(&case, args.width.into())? else {
+        let known = own::STAGES.join(", ");
+        progress::note(&format!("{}: not one of {known}", case.stage()));
+        return Ok(ExitCode::from(UNSUPPORTED));
+    };
+    make_folder(&args.out)?;
+    for name in case.output_names() {
+        if let Some(Ok(tensor)) = answers.get(name) {
+            let path = args.out.join(format!("{name}.npy"));
+            std::fs::write(&path, npy::encode(tensor))
+                .with_context(|| format!("{}: cannot write", path.display()))?;
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
 fn check(args: &CheckArgs) -> Result<ExitCode> {
     if !(args.timeout.is_finite() && args.timeout > 0.0 && args.timeout <= 1e6) {
         bail!("--timeout {}: expected seconds, more than 0", args.timeout);
@@ -335,10 +379,7 @@ fn one_by_port(
 }
 
 fn from_own(cases: &[Case], width: Option<OwnWidth>) -> Result<Vec<CaseVerdict>> {
-    let width = match width {
-        Some(OwnWidth::F32) => Width::F32,
-        _ => Width::F64,
-    };
+    let width = width.unwrap_or(OwnWidth::F64).into();
     let verdict = |case: &Case| -> Result<CaseVerdict> {
         let answers: Option<Answers> = own::answers(case, width)?;
         Ok(answers.map_or_else(

@@ -315,7 +315,12 @@ fn looks_like_f32(answer: &Tensor, comparison: &Comparison) -> Option<String> {
     })
 }
 
-/// What is wrong with a shape, and for lists which rows are missing or too many.
+/// Integers: rows can be looked up.
+fn is_whole(tensor: &Tensor) -> bool {
+    !matches!(tensor.dtype(), Dtype::F32 | Dtype::F64)
+}
+
+/// What is wrong with a shape, and for lists of whole numbers which rows are missing or too many.
 fn other_shape(expected: &Tensor, answer: &Tensor) -> String {
     let mut note = format!(
         "shape {:?}; expected {:?}",
@@ -327,7 +332,7 @@ fn other_shape(expected: &Tensor, answer: &Tensor) -> String {
         note.push_str(": the axes are reversed (column-major, or (width, height))");
     } else if answer.len() == expected.len() {
         note.push_str(": as many numbers; reshape");
-    } else if expected.shape().get(1..) == answer.shape().get(1..) {
+    } else if expected.shape().get(1..) == answer.shape().get(1..) && is_whole(expected) {
         let rows = |tensor: &Tensor| -> Vec<Vec<u64>> {
             let width = tensor.shape()[1..].iter().product::<usize>().max(1);
             let values = tensor.f64();

@@ -87,6 +87,8 @@ pub const TABLE: &[Tolerance] = &[
     abs_rel("camera.jacobian", 1e-13, 1e-15, "a few products and one division"),
     abs_rel("camera.pixel", 2e-13, 1e-15, "a pixel is a difference of numbers of size 500, spacing 1.1e-13"),
     abs_rel("camera.undistorted", 1e-12, 0.0, "as pixels, through a Newton step"),
+    // projection_covariance: the rest is raster's
+    vector("projection.p_cam", 0.0, 2e-15, "three products and their sum"),
     // sh: the basis of degree 3 has terms of size 3 that cancel
     abs_rel("sh.basis", 2e-15, 0.0, "three products and a sum, coefficients up to 3"),
     abs_rel("sh.gradient", 1e-14, 0.0, "derivatives up to 5, projected onto the tangent plane"),

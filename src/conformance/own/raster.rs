@@ -1,9 +1,10 @@
 //! What is drawn, and its gradients.
 
-use garad_core::{Camera, GaussianMap, Image, KeyframeId, Label, Par, Real, Se3, sh};
+use garad_core::{Camera, GaussianMap, Image, KeyframeId, Label, Par, Real, Se3, So3, sh};
 use garad_raster::{
     ClampGradient, Gradients, Projected, RasterError, RenderOptions, Rendered, Upstream, fast,
 };
+use nalgebra::Matrix3;
 
 use super::fields::Fields;
 use super::{Outputs, OwnError};
@@ -157,9 +158,28 @@ pub(super) fn projection<T: Real>(
     fields: Fields<'_>,
     engine: Engine<T>,
 ) -> Result<Outputs, OwnError> {
-    let mut splats = scene::<T>(fields)?.draw(fields, engine)?.projected;
+    let scene = scene::<T>(fields)?;
+    let mut splats = scene.draw(fields, engine)?.projected;
     splats.sort_by_key(|s| s.index);
     let mut out = Outputs::default();
+    let (turn, shift) = (scene.pose.rotation.matrix(), scene.pose.translation);
+    let [turn, shift] = [turn.transpose().as_slice(), shift.as_slice()]
+        .map(|v| v.iter().map(|&v| T::from_f64(v)).collect::<Vec<T>>());
+    let p_cam = scene.map.means.iter().flat_map(|m| {
+        [0, 1, 2].map(|k| {
+            turn[3 * k] * m[0] + turn[3 * k + 1] * m[1] + turn[3 * k + 2] * m[2] + shift[k]
+        })
+    });
+    out.put("p_cam", p_cam);
+    let rotations = scene.map.quaternions.iter().map(|q| {
+        let [w, x, y, z] = q.map(T::to_f64);
+        let rotation = So3::from_quaternion(w, x, y, z);
+        rotation.map_or(Matrix3::repeat(f64::NAN), |r| r.matrix())
+    });
+    out.put(
+        "rotation",
+        rotations.flat_map(|r| r.transpose().as_slice().to_vec()),
+    );
     put_geometry(&mut out, splats.iter());
     out.put_whole("radius", splats.iter().map(|s| s.radius_px));
     let pixel = |v: usize| i32::try_from(v).unwrap_or(i32::MAX);

@@ -32,7 +32,8 @@ def rotation(q):
 def splat(mean, log_scales, quaternion, q, t, intrinsics, size):
     fx, fy, cx, cy = (mp.mpf(float(k)) for k in intrinsics)
     w = rotation(q)
-    x, y, z = w * mp.matrix([mp.mpf(float(c)) for c in mean]) + mp.matrix([mp.mpf(float(c)) for c in t])
+    p_cam = w * mp.matrix([mp.mpf(float(c)) for c in mean]) + mp.matrix([mp.mpf(float(c)) for c in t])
+    x, y, z = p_cam
     assert z > mp.mpf("0.2"), "in front of the near plane"
     limit = [mp.mpf("1.3") * n / (2 * f) for n, f in zip(size, (fx, fy))]
     sx, sy = (max(-l, min(l, s / z)) for l, s in zip(limit, (x, y)))
@@ -52,7 +53,7 @@ def splat(mean, log_scales, quaternion, q, t, intrinsics, size):
     footprint = [min(16 * e, n) for e, n in zip(cells, (*size, *size))]
     assert footprint[0] < footprint[2] and footprint[1] < footprint[3], "visible"
     clamped = sx != x / z or sy != y / z
-    return (u, v), z, (c / det, -b / det, a / det), radius, footprint, clamped
+    return (u, v), z, (c / det, -b / det, a / det), radius, footprint, clamped, list(p_cam), list(r)
 
 
 def projection(name, why, means, log_scales, quaternions, q, t, intrinsics, size, flags=()):
@@ -65,7 +66,8 @@ def projection(name, why, means, log_scales, quaternions, q, t, intrinsics, size
         inputs={"intrinsics": (np.array(intrinsics, np.float64), "px: fx fy cx cy"),
                 "camera_from_world_q": (np.array(q, np.float64), "w x y z"), "camera_from_world_t": (np.array(t, np.float64), "m"),
                 "means": (means, "m"), "quaternions": (quaternions, "w x y z"), "log_scales": (log_scales, "ln m")},
-        outputs={"mean_px": (floats(0), "px", "raster.mean_px"), "depth_m": (np.array([float(f[1]) for f in found]), "m", "raster.depth_m"),
+        outputs={"p_cam": (floats(6), "m", "projection.p_cam"), "rotation": (floats(7).reshape(-1, 3, 3), "1", "se3.rotation"),
+                 "mean_px": (floats(0), "px", "raster.mean_px"), "depth_m": (np.array([float(f[1]) for f in found]), "m", "raster.depth_m"),
                  "conic": (floats(2), "px^-2", "raster.conic"), "radius": (np.array([f[3] for f in found], np.int32), "px", "exact"),
                  "footprint": (np.array([f[4] for f in found], np.int32), "px: x0 y0 x1 y1, ends excluded", "exact")})
     print(f"{name}: {len(found)} splats, {sum(f[5] for f in found)} with a clamped slope, radii {[f[3] for f in found]}")

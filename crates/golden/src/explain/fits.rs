@@ -24,6 +24,8 @@ const OFFSETS: [(f64, &str); 4] = [
 
 /// A free number per column is fitted from this many rows on.
 const ROWS_TO_FIT: usize = 4;
+/// A free factor nearer to 1 than this explains nothing.
+const LEAST_FACTOR: f64 = 1e-2;
 /// Columns beyond this are not looked at one by one.
 const MAX_COLUMNS: usize = 16;
 
@@ -86,7 +88,8 @@ fn column_factors(s: &Suspect<'_>) -> Option<String> {
                 .iter()
                 .map(|f| f.0)
                 .find(|f| (free / f - 1.0).abs() < 1e-2);
-            let fallback = if s.rows() >= ROWS_TO_FIT && free.abs() > 1e-6 {
+            let far = free.abs() > 1e-6 && (free - 1.0).abs() > LEAST_FACTOR;
+            let fallback = if s.rows() >= ROWS_TO_FIT && far {
                 free
             } else {
                 1.0

@@ -2,9 +2,13 @@
 
 use super::Suspect;
 
+/// Columns beyond this are not exchanged in pairs.
+const MAX_COLUMNS: usize = 16;
+
 /// Tries orders of axes, of components, of rows, and shifts by a pixel.
 pub(super) fn find(suspect: &Suspect<'_>) -> Option<String> {
     components(suspect)
+        .or_else(|| exchanged(suspect))
         .or_else(|| axes(suspect))
         .or_else(|| rows(suspect))
         .or_else(|| shifts(suspect))
@@ -46,6 +50,23 @@ fn components(s: &Suspect<'_>) -> Option<String> {
         ),
         _ => None,
     }
+}
+
+/// Two components of many in each other's place.
+fn exchanged(s: &Suspect<'_>) -> Option<String> {
+    let n = s.columns();
+    if !(3..=MAX_COLUMNS).contains(&n) || s.rows() < 2 {
+        return None;
+    }
+    let pairs = (0..n).flat_map(|a| (a + 1..n).map(move |b| (a, b)));
+    pairs.into_iter().find_map(|(a, b)| {
+        let swapped = s.gather(|i| match i % n {
+            c if c == a => i - a + b,
+            c if c == b => i - b + a,
+            _ => i,
+        });
+        s.named(&format!("components {a} and {b} are exchanged"), &swapped)
+    })
 }
 
 fn axes(s: &Suspect<'_>) -> Option<String> {

@@ -5,6 +5,7 @@ use super::Suspect;
 /// Tries what the inputs and the other outputs suggest.
 pub(super) fn find(s: &Suspect<'_>) -> Option<String> {
     inverse_motion(s)
+        .or_else(|| quaternion_order(s))
         .or_else(|| activation(s))
         .or_else(|| background(s))
         .or_else(|| opacity(s))
@@ -32,6 +33,42 @@ fn inverse_motion(s: &Suspect<'_>) -> Option<String> {
         "the inverse motion: world_from_camera instead of camera_from_world",
         &inverted,
     )
+}
+
+/// Entries of rotations that agree with another reading of the quaternions to this.
+const SAME_ROTATION: f64 = 1e-4;
+
+/// Rotations from quaternions (x, y, z, w), or from ones of any length.
+fn quaternion_order(s: &Suspect<'_>) -> Option<String> {
+    let quaternions = s.case.try_input("quaternions")?.f64();
+    if s.output != "rotation" || quaternions.len() * 9 != s.got.len() * 4 {
+        return None;
+    }
+    let agrees = |read: fn([f64; 4]) -> [f64; 4]| {
+        let rows = quaternions.as_chunks::<4>().0.iter();
+        let other = rows.flat_map(|q| matrix(read(*q)));
+        let mut pairs = other.zip(s.got);
+        pairs.all(|(a, b)| (a - b).abs() < SAME_ROTATION)
+    };
+    if agrees(|[a, b, c, d]| [d, a, b, c].map(|v| v / (a * a + b * b + c * c + d * d).sqrt())) {
+        return Some("quaternions were read as (x, y, z, w); they are (w, x, y, z)".to_owned());
+    }
+    agrees(|q| q).then(|| "the quaternions are used without bringing them to length 1".to_owned())
+}
+
+/// Row by row, by the formula for unit quaternions.
+fn matrix([w, x, y, z]: [f64; 4]) -> [f64; 9] {
+    [
+        1.0 - 2.0 * (y * y + z * z),
+        2.0 * (x * y - w * z),
+        2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z),
+        1.0 - 2.0 * (x * x + z * z),
+        2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y),
+        2.0 * (y * z + w * x),
+        1.0 - 2.0 * (x * x + y * y),
+    ]
 }
 
 /// A gradient by the activated value instead of by the parameter.
