@@ -220,7 +220,8 @@ fn judge_output(case: &Case, name: &str, answer: &Tensor, in_f32: bool) -> Outpu
     let expected = case.output(name);
     let dtype = Some(answer.dtype());
     if squeezed(expected.shape()) != squeezed(answer.shape()) {
-        let note = other_shape(expected, answer);
+        let exact = case.tolerance(name).is_ok_and(|t| t.class == Class::Exact);
+        let note = other_shape(expected, answer, exact);
         return problem(name, Verdict::Shape, dtype, &note);
     }
     let tolerance = match case.tolerance(name) {
@@ -260,7 +261,12 @@ fn judge_output(case: &Case, name: &str, answer: &Tensor, in_f32: bool) -> Outpu
     };
     let got = answer.f64();
     let Some(comparison) = verdict_on(&got) else {
-        return problem(name, Verdict::Shape, dtype, &other_shape(expected, answer));
+        return problem(
+            name,
+            Verdict::Shape,
+            dtype,
+            &other_shape(expected, answer, false),
+        );
     };
     let lost = got
         .iter()
@@ -315,13 +321,8 @@ fn looks_like_f32(answer: &Tensor, comparison: &Comparison) -> Option<String> {
     })
 }
 
-/// Integers: rows can be looked up.
-fn is_whole(tensor: &Tensor) -> bool {
-    !matches!(tensor.dtype(), Dtype::F32 | Dtype::F64)
-}
-
 /// What is wrong with a shape, and for lists of whole numbers which rows are missing or too many.
-fn other_shape(expected: &Tensor, answer: &Tensor) -> String {
+fn other_shape(expected: &Tensor, answer: &Tensor, exact: bool) -> String {
     let mut note = format!(
         "shape {:?}; expected {:?}",
         answer.shape(),
@@ -332,7 +333,7 @@ fn other_shape(expected: &Tensor, answer: &Tensor) -> String {
         note.push_str(": the axes are reversed (column-major, or (width, height))");
     } else if answer.len() == expected.len() {
         note.push_str(": as many numbers; reshape");
-    } else if expected.shape().get(1..) == answer.shape().get(1..) && is_whole(expected) {
+    } else if expected.shape().get(1..) == answer.shape().get(1..) && exact {
         let rows = |tensor: &Tensor| -> Vec<Vec<u64>> {
             let width = tensor.shape()[1..].iter().product::<usize>().max(1);
             let values = tensor.f64();

@@ -26,6 +26,8 @@ const OFFSETS: [(f64, &str); 4] = [
 const ROWS_TO_FIT: usize = 4;
 /// A free factor nearer to 1 than this explains nothing.
 const LEAST_FACTOR: f64 = 1e-2;
+/// An offset smaller than this share of the largest number explains nothing.
+const LEAST_OFFSET: f64 = 5e-3;
 /// Columns beyond this are not looked at one by one.
 const MAX_COLUMNS: usize = 16;
 
@@ -127,23 +129,45 @@ fn column_offsets(s: &Suspect<'_>) -> Option<String> {
         })
         .collect();
     let fixed = s.map(|i, g| g - offsets[i % n]);
-    let intrinsics = s.case.try_input("intrinsics").map(|t| t.f64());
+    let largest = s.expected.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let small = |o: &f64| *o != 0.0 && o.abs() < LEAST_OFFSET * largest;
+    if offsets.iter().any(|o| small(o)) {
+        return None;
+    }
+    let centers = centers(s);
     describe(s, &fixed, &offsets, 0.0, |offset| {
         let known = OFFSETS.iter().find(|(o, _)| (offset - o).abs() < 1e-9);
-        let center = intrinsics
-            .as_ref()
-            .and_then(|k| k.get(2..4))
-            .is_some_and(|center| {
-                center
-                    .iter()
-                    .any(|c| (offset.abs() - c).abs() < 1e-3 * c.abs())
-            });
+        let center = centers.iter().find(|(c, _)| (offset - c).abs() < 1e-3);
         match (known, center) {
             (Some((_, name)), _) => (*name).to_owned(),
-            (None, true) => format!("{offset:.6}, the principal point"),
-            (None, false) => format!("a constant of {offset:.6}"),
+            (None, Some((_, name))) => format!("{offset:.6}: {name}"),
+            (None, None) => format!("a constant of {offset:.6}"),
         }
     })
+}
+
+/// What pixels are too much by if the principal point is put elsewhere.
+fn centers(s: &Suspect<'_>) -> Vec<(f64, &'static str)> {
+    let size = ["width", "height"].map(|name| s.case.param(name).and_then(|v| v.as_f64()));
+    let k = s.case.try_input("intrinsics").map(|t| t.f64());
+    let ([Some(width), Some(height)], Some([_, _, cx, cy])) = (size, k.as_deref()) else {
+        return Vec::new();
+    };
+    let pairs = [(width, cx), (height, cy)];
+    let named = pairs.into_iter().flat_map(|(n, c)| {
+        [
+            (-c, "the principal point is not added"),
+            (
+                (n - 1.0) / 2.0 - c,
+                "the principal point is put into the middle",
+            ),
+            (
+                n / 2.0 - c,
+                "the principal point is put into the middle, half a pixel off",
+            ),
+        ]
+    });
+    named.collect()
 }
 
 /// Names the columns whose number is not the neutral one.

@@ -1,0 +1,271 @@
+//! `garad golden`: ports that are right, wrong, slow, silent or dead.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use garad_golden::{Dtype, Tensor, npy};
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::support::{arg, garad, program};
+
+/// Runs `garad golden`; exit code and everything it said.
+fn golden(args: &[&str]) -> (i32, String) {
+    let output = program().arg("golden").args(args).output();
+    let output = output.expect("the program starts");
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    let said = text(&output.stdout) + &text(&output.stderr);
+    assert!(!said.contains("panicked"), "{said}");
+    (output.status.code().expect("no signal"), said)
+}
+
+/// The cases of the checkout.
+fn cases() -> String {
+    format!("{}/tests/golden", env!("CARGO_MANIFEST_DIR"))
+}
+
+/// This program as a port of its own, by `--exec`.
+fn ourselves(rest: &str) -> String {
+    format!("'{}' {rest}", env!("CARGO_BIN_EXE_garad"))
+}
+
+/// A folder that holds a right answer to one case.
+fn answered(stage: &str, case: &str) -> TempDir {
+    let folder = TempDir::new().expect("a folder");
+    let out = folder.path().join(stage).join(case);
+    let from = format!("{}/{stage}/{case}", cases());
+    let (code, said) = golden(&["answer", &from, arg(&out)]);
+    assert_eq!(code, 0, "{said}");
+    folder
+}
+
+/// Replaces one output by what `change` makes of it.
+fn damage(path: &Path, change: impl Fn(usize, f64) -> f64) {
+    let tensor = npy::decode(&fs::read(path).expect("there")).expect("as written");
+    let values = tensor.f64().into_iter().enumerate();
+    let bytes = values
+        .flat_map(|(i, v)| change(i, v).to_le_bytes())
+        .collect();
+    let damaged = Tensor::from_bytes(Dtype::F64, tensor.shape().to_vec(), bytes);
+    let damaged = npy::encode(&damaged.expect("as many"));
+    fs::write(path, damaged).expect("written");
+}
+
+#[test]
+fn every_case_is_listed_with_its_basis() {
+    let (code, text) = golden(&["list"]);
+    assert_eq!(code, 0, "{text}");
+    for word in [
+        "raster_backward: gradients",
+        "sh3_80",
+        "numpy-f64",
+        "f64[45, 61, 3]",
+    ] {
+        assert!(text.contains(word), "{word}: {text}");
+    }
+    let (code, text) = golden(&["list", "--json", "--stage", "lk", "--tag", "opencv"]);
+    assert_eq!(code, 0, "{text}");
+    let list: Value = serde_json::from_str(&text).expect("JSON");
+    let list = list.as_array().expect("a list");
+    assert_eq!(list.len(), 4, "{text}");
+    assert_eq!(list[0]["outputs"][0]["tolerance"], "lk.residual", "{text}");
+}
+
+#[test]
+fn our_own_stages_pass_in_both_widths() {
+    let folder = TempDir::new().expect("a folder");
+    let json = folder.path().join("report.json");
+    for width in ["--self", "--self=f32"] {
+        let (code, text) = golden(&["check", width, "--json", arg(&json)]);
+        assert_eq!(code, 0, "{width}: {text}");
+        let report: Value =
+            serde_json::from_slice(&fs::read(&json).expect("written")).expect("JSON");
+        assert_eq!(report["passed"], true, "{width}");
+        let passed = report["counts"]["pass"].as_u64().expect("a count");
+        assert!(passed >= 50, "{width}: {passed} passed");
+    }
+}
+
+#[test]
+fn a_right_answer_passes_and_a_wrong_one_says_where() {
+    let folder = answered("raster_backward", "one");
+    let base = [
+        "check",
+        "--actual",
+        arg(&folder.path()),
+        "--stage",
+        "raster_backward",
+    ];
+    let one = [&base[..], &["--case", "one"]].concat();
+    let (code, text) = golden(&one);
+    assert_eq!(code, 0, "{text}");
+    let (code, text) = golden(&base);
+    assert!(
+        code == 1 && text.contains("missing"),
+        "others are asked for: {text}"
+    );
+    let (code, text) = golden(&[&base[..], &["--allow-missing"]].concat());
+    assert_eq!(code, 0, "others may be missing: {text}");
+
+    let wrong = folder.path().join("raster_backward/one/d_pose.npy");
+    damage(&wrong, |_, v| -v);
+    let (code, text) = golden(&one);
+    assert_eq!(code, 1, "{text}");
+    for word in [
+        "FAIL d_pose[4]",
+        "the sign",
+        "raster_backward FAILS",
+        "raster was not run",
+    ] {
+        assert!(text.contains(word), "{word}: {text}");
+    }
+    fs::write(&wrong, "nonsense").expect("written");
+    let (code, text) = golden(&one);
+    assert!(code == 1 && text.contains("UNREADABLE d_pose"), "{text}");
+    fs::remove_file(&wrong).expect("there");
+    let (code, text) = golden(&one);
+    assert!(code == 1 && text.contains("missing d_pose"), "{text}");
+}
+
+#[test]
+fn conics_without_blur_are_recognised() {
+    let folder = answered("projection_covariance", "one");
+    let path = folder.path().join("projection_covariance/one/conic.npy");
+    let [a, b, c] = [0, 1, 2].map(|k| {
+        npy::decode(&fs::read(&path).expect("there"))
+            .expect("as written")
+            .f64()[k]
+    });
+    let det = a * c - b * b;
+    let (xx, xy, yy) = (c / det - 0.3, -b / det, a / det - 0.3);
+    let det = xx * yy - xy * xy;
+    damage(&path, |i, _| [yy / det, -xy / det, xx / det][i]);
+    let checked = [
+        "check",
+        "--actual",
+        arg(&folder.path()),
+        "--stage",
+        "projection_covariance",
+        "--case",
+        "one",
+    ];
+    let (code, text) = golden(&checked);
+    assert!(
+        code == 1 && text.contains("0.3 px² on the diagonal"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_port_is_a_program() {
+    let folder = TempDir::new().expect("a folder");
+    let keep = folder.path().join("two words");
+    let port = ourselves("golden answer {case} {out}");
+    let stages = ["--stage", "sh", "--stage", "losses", "--stage", "decode"];
+    let check = ["check", "--exec", &port, "--keep", arg(&keep)];
+    let (code, text) = golden(&[&check[..], &stages].concat());
+    assert_eq!(code, 0, "{text}");
+    assert!(text.contains("unsupported: decode"), "{text}");
+    assert!(keep.join("sh/degree_3/basis.npy").is_file(), "kept");
+
+    let silent = ourselves("--version");
+    let (code, text) = golden(&["check", "--exec", &silent, "--stage", "sh"]);
+    assert!(code == 1 && text.contains("missing"), "{text}");
+    let dead = ourselves("frobnicate");
+    let (code, text) = golden(&["check", "--exec", &dead, "--stage", "sh"]);
+    assert!(code == 1 && text.contains("CRASH"), "{text}");
+    assert!(
+        text.contains("exit status: 2") || text.contains("exit code: 2"),
+        "{text}"
+    );
+    assert!(text.contains("frobnicate"), "its last words: {text}");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_port_that_hangs_is_ended() {
+    let (code, text) = golden(&[
+        "check",
+        "--exec",
+        "sleep 60",
+        "--timeout",
+        "0.2",
+        "--stage",
+        "sh",
+    ]);
+    assert!(code == 1 && text.contains("TIMEOUT"), "{text}");
+}
+
+#[test]
+fn slips_in_the_command_are_named() {
+    let slips: &[(&[&str], &str)] = &[
+        (&["check"], "--exec"),
+        (&["check", "--self", "--actual", "."], "--actual"),
+        (&["check", "--self", "--stage", "rasta"], "rasta"),
+        (
+            &["check", "--self", "--stage", "sh", "--case", "none"],
+            "no such case",
+        ),
+        (&["check", "--self", "--cases", "/nowhere"], "/nowhere"),
+        (&["check", "--actual", "/nowhere"], "/nowhere"),
+        (&["check", "--exec", "a 'b"], "without its end"),
+        (
+            &["check", "--exec", "/nowhere/port", "--stage", "sh"],
+            "/nowhere/port",
+        ),
+        (&["check", "--self", "--timeout", "0"], "--timeout"),
+        (&["answer", "/nowhere", "/tmp"], "/nowhere"),
+    ];
+    for (args, word) in slips {
+        let (code, text) = golden(args);
+        assert!(code == 2 && text.contains(word), "{args:?}: {code}, {text}");
+    }
+}
+
+#[test]
+fn tolerances_have_reasons() {
+    let text = garad(["golden", "tolerances"]).succeeds().out;
+    assert!(
+        text.contains("raster.f32.color") && text.contains("seen"),
+        "{text}"
+    );
+}
+
+/// Where there is a Python with numpy, the example port passes, and a slip in it is found.
+#[test]
+fn the_example_port_passes() {
+    let numpy = Command::new("python3")
+        .args(["-c", "import numpy"])
+        .output();
+    if !numpy.is_ok_and(|output| output.status.success()) {
+        return;
+    }
+    let example = format!("{}/examples/adapter_numpy", env!("CARGO_MANIFEST_DIR"));
+    let port = format!("python3 '{example}/adapter.py' {{case}} {{out}}");
+    let mut check = vec!["check", "--exec", &port];
+    for stage in [
+        "sh",
+        "projection_covariance",
+        "raster",
+        "raster_backward",
+        "losses",
+    ] {
+        check.extend(["--stage", stage]);
+    }
+    let (code, text) = golden(&check);
+    assert!(code == 0 && text.contains("18 pass"), "{text}");
+    let slips = Command::new("python3")
+        .arg(format!("{example}/slips.py"))
+        .args(["half_pixel", "noisy_exp"])
+        .env("GARAD", env!("CARGO_BIN_EXE_garad"))
+        .output()
+        .expect("python3 starts");
+    let text = String::from_utf8_lossy(&slips.stdout).into_owned();
+    assert!(
+        slips.status.success(),
+        "{text}{}",
+        String::from_utf8_lossy(&slips.stderr)
+    );
+    assert!(text.contains("half a pixel"), "{text}");
+}
