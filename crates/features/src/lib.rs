@@ -2,7 +2,7 @@
 //!
 //! Pictures in, points and correspondences out; nothing here knows of maps or Gaussians.
 //! Reading order: [`fast9`] (corners) → [`orb`] (spread over the picture, turned, described) →
-//! [`descriptor`], [`matching`] (which point is which) →
+//! [`descriptor`], [`matching`] (which point is which), [`place`] (which picture shows the same) →
 //! [`lk`] (where a point went) → [`epipolar`] (what two views allow) → [`flow`] (who moves as the
 //! scene does).
 //!
@@ -17,6 +17,7 @@ pub mod flow;
 pub mod lk;
 pub mod matching;
 pub mod orb;
+pub mod place;
 
 pub use descriptor::Descriptor;
 pub use error::FeatureError;
@@ -24,3 +25,4 @@ pub use flow::{FlowConfig, FlowEstimator, FlowForm, FlowPoint, verify_flow};
 pub use lk::{LkConfig, LkPyramid, LkStatus, LkTrack};
 pub use matching::{Match, MatchConfig};
 pub use orb::{Features, Keypoint, OrbConfig, OrbExtractor};
+pub use place::{Candidate, PlaceConfig, PlaceIndex};

@@ -1,6 +1,6 @@
 //! The committed cases of this crate's stages: truth from OpenCV, numpy and mpmath.
 
-use garad_core::{Camera, GrayImage, Par, Se3, So3};
+use garad_core::{Camera, GrayImage, KeyframeId, Par, Se3, So3};
 use garad_features::epipolar::{
     RansacConfig, eight_point, fundamental, fundamental_ransac, point_to_line_px, sampson_px2,
 };
@@ -11,7 +11,7 @@ use garad_features::matching::nearest;
 use garad_features::orb::{blur, orientation};
 use garad_features::{
     Descriptor, FlowConfig, FlowEstimator, FlowForm, FlowPoint, LkConfig, LkPyramid, MatchConfig,
-    OrbConfig, OrbExtractor, verify_flow,
+    OrbConfig, OrbExtractor, PlaceConfig, PlaceIndex, verify_flow,
 };
 use garad_golden::{Case, Tensor};
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -318,5 +318,44 @@ fn flow() {
             "quantiles",
             levels.iter().map(|&p| chi2_2dof_quantile(p)),
         );
+    }
+}
+
+#[test]
+fn place() {
+    for case in Case::load_all("place") {
+        let all = descriptors(case.input("descriptors"));
+        let mut rest = all.as_slice();
+        let lengths = case.input("length").i64();
+        let mut pictures = lengths.iter().map(|&n| {
+            let n = usize::try_from(n).expect("a length");
+            let (picture, after) = rest.split_at(n);
+            rest = after;
+            picture
+        });
+        let config = PlaceConfig {
+            tables: case.param_usize("tables"),
+            bits: case.param_usize("bits"),
+        };
+        let seed = case.param_usize("seed") as u64;
+        let mut index = PlaceIndex::new(config, seed).expect("valid settings");
+        let &[_, keyframes] = case.output("score").shape() else {
+            panic!("{}: scores have two axes", case.name());
+        };
+        let ids: Vec<_> = (0..count(keyframes)).map(KeyframeId).collect();
+        for (&id, picture) in ids.iter().zip(pictures.by_ref().take(keyframes)) {
+            index.add(id, picture);
+        }
+        let (mut scores, mut order) = (Vec::new(), Vec::new());
+        for picture in pictures {
+            scores.extend(
+                ids.iter()
+                    .map(|&id| index.score(id, picture).unwrap_or(-1.0)),
+            );
+            let found = index.query(picture, keyframes, |_| false);
+            order.extend(found.iter().map(|candidate| candidate.id.0));
+        }
+        check(&case, "score", scores);
+        check(&case, "order", order);
     }
 }

@@ -186,6 +186,8 @@ pub const TABLE: &[Tolerance] = &[
     // pnp
     abs_rel("pnp.exact", 1e-9, 0.0, "rad, m: pixels have a spacing of 1e-13 of 500, and triples lose up to 1/conditioning = 300 of that, twice"),
     abs_rel("pnp.pose", 1e-8, 0.0, "as pose.pose: where the cost is flat to its last digit"),
+    // place
+    abs_rel("place.score", 2e-15, 0.0, "a sum of up to 160 positive terms that is at most 1, and one less half a sum that is at most 2"),
     // dataset
     abs_rel("dataset.rotation", 1e-15, 0.0, "entries of R, three products of unit quaternions against three of matrices"),
     abs_rel("dataset.translation", 2e-15, 0.0, "m: positions of size 3, spacing 4.4e-16, and a lever of 2 cm"),
