@@ -218,6 +218,21 @@ fn write_labels(out: &Path, result: &RunResult) -> Result<()> {
         write_bytes_atomically(&masks.join(format!("{:06}.png", found.frame.0)), &png)?;
     }
     write_bytes_atomically(&out.join("keypoints.csv"), rows.as_bytes())?;
+    let mut rows = String::from("frame,keyframe,gaussians,dynamic,to_dynamic,to_static,removed\n");
+    for done in result.slam.mapped() {
+        let counts = done.relabelled;
+        rows.push_str(&format!(
+            "{},{},{},{},{},{},{}\n",
+            done.frame.0,
+            done.keyframe.0,
+            done.gaussians,
+            done.dynamic,
+            counts.to_dynamic,
+            counts.to_static,
+            counts.removed
+        ));
+    }
+    write_bytes_atomically(&out.join("gaussians.csv"), rows.as_bytes())?;
     Ok(())
 }
 

@@ -176,7 +176,7 @@ pub fn run(
     result.stopwatch.record("handover", waiting.elapsed());
     train(&mut slam, &mut result, options);
     result.stopwatch.merge(&mapping.take());
-    let failed = slam.mapping_errors().iter().cloned();
+    let failed = slam.mapped().iter().filter_map(|done| done.error.clone());
     result.skipped.extend(failed);
     Ok(RunResult {
         trajectory: slam.trajectory(),

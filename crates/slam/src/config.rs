@@ -480,8 +480,13 @@ pub struct LabelConfig {
     /// A keypoint this near to a pixel that was found to move is not used, px: its descriptor and
     /// its depth reach across the edge.
     pub reach_px: usize,
-    /// Probability of being static that a sample keeps if every witness agrees with it.
-    pub trust_agreement: f64,
+    /// Probability of being static that a sample keeps if every witness agrees with it, the oldest of
+    /// them from just now, ...
+    pub trust_young: f64,
+    /// ... or from `settle_frames` ago and more.
+    pub trust_old: f64,
+    /// See `trust_old`.
+    pub settle_frames: u32,
     /// The same for a sample that no witness knows.
     pub trust_unknown: f64,
     /// Keyframes of the last so many frames are asked what was there before.
@@ -508,9 +513,11 @@ impl Default for LabelConfig {
             bootstrap_frames: 10,
             dilate_px: 8,
             reach_px: 8,
-            trust_agreement: 0.6,
+            trust_young: 0.55,
+            trust_old: 0.97,
+            settle_frames: 45,
             trust_unknown: 0.55,
-            memory_frames: 60,
+            memory_frames: 90,
             step_px: 16,
             noise: DepthNoise {
                 per_m: 3e-3,
@@ -659,8 +666,9 @@ impl Config {
              inside(0.0, self.labels.noise.floor_m, f64::INFINITY), positive),
             ("labels.noise.per_m", self.labels.noise.per_m,
              self.labels.noise.per_m >= 0.0 && self.labels.noise.per_m.is_finite(), "0 or a positive number"),
-            ("labels.trust_agreement", self.labels.trust_agreement,
-             inside(0.0, self.labels.trust_agreement, 1.0), share),
+            ("labels.trust_young", self.labels.trust_young, inside(0.0, self.labels.trust_young, 1.0), share),
+            ("labels.trust_old", self.labels.trust_old, inside(0.0, self.labels.trust_old, 1.0), share),
+            ("labels.settle_frames", f64::from(self.labels.settle_frames), self.labels.settle_frames > 0, "at least 1"),
             ("labels.trust_unknown", self.labels.trust_unknown,
              inside(0.0, self.labels.trust_unknown, 1.0), share),
             ("labels.edge_ratio", self.labels.edge_ratio,

@@ -6,11 +6,12 @@
 //! decides both.
 //!
 //! ```text
-//! MappingJob ─→ insert (landmarks, depth) ─→ train × n ─→ MappingDone
+//! MappingJob ─→ relabel ─→ insert (landmarks, depth) ─→ train × n ─→ MappingDone
 //! ```
 
 pub mod densify;
 pub mod insert;
+pub mod relabel;
 pub mod train;
 pub mod view;
 
@@ -21,9 +22,11 @@ use garad_core::{
 use nalgebra::Vector3;
 
 use self::insert::{Picture, insert_landmarks, seed_from_depth};
+use self::relabel::{Relabelled, relabel};
 use self::train::{Pick, TrainError, TrainStep, Trainer};
 use self::view::TrainingView;
 use crate::config::Config;
+use crate::labels::witness::Witness;
 use crate::observer::{Observer, Stage};
 use crate::system::SlamError;
 
@@ -40,6 +43,8 @@ pub struct MappingJob {
     pub depth: DepthImage,
     /// 255 where something moves.
     pub mask: Option<MaskImage>,
+    /// The same in the cells of the label stage, if it ran: Gaussians are then labelled, too.
+    pub cells: Option<MaskImage>,
     /// Landmarks whose label has changed.
     pub labels: Vec<(LandmarkId, Label)>,
     /// camera_from_world of every keyframe so far, as adjusted.
@@ -66,6 +71,12 @@ pub struct NewLandmark {
 pub struct MappingDone {
     /// The keyframe.
     pub keyframe: KeyframeId,
+    /// The frame it was.
+    pub frame: FrameId,
+    /// Labels changed, and Gaussians dropped for theirs.
+    pub relabelled: Relabelled,
+    /// Gaussians that move.
+    pub dynamic: usize,
     /// Gaussians inserted.
     pub inserted: usize,
     /// Gaussians there are now.
@@ -113,7 +124,10 @@ impl Mapper {
 
     /// Inserts what the keyframe shows anew, and trains.
     pub fn run(&mut self, job: MappingJob, observer: &mut dyn Observer) -> MappingDone {
-        self.poses = job.poses;
+        self.poses = job.poses.clone();
+        observer.begin(Stage::Relabel);
+        let relabelled = self.relabel(&job);
+        observer.end(Stage::Relabel);
         let before = self.gaussians.len();
         observer.begin(Stage::Insert);
         if let Some(pose) = self.poses.get(job.keyframe.index()).copied() {
@@ -150,6 +164,9 @@ impl Mapper {
         observer.end(Stage::Insert);
         let mut done = MappingDone {
             keyframe: job.keyframe,
+            frame: job.frame,
+            relabelled,
+            dynamic: 0,
             inserted: self.gaussians.len() - before,
             gaussians: 0,
             loss: None,
@@ -182,8 +199,35 @@ impl Mapper {
                 }
             }
         }
+        let labels = self.gaussians.label.iter();
+        done.dynamic = labels.filter(|l| **l == Label::Dynamic).count();
         done.gaussians = self.gaussians.len();
         done
+    }
+
+    /// Labels what the keyframe sees, and drops what has moved for a whole window.
+    fn relabel(&mut self, job: &MappingJob) -> Relabelled {
+        let pose = self.poses.get(job.keyframe.index()).copied();
+        let (Some(cells), Some(pose)) = (&job.cells, pose) else {
+            return Relabelled::default();
+        };
+        let mut witness = Witness::new(&job.depth, self.config.features.max_depth_m);
+        witness.set_moving(cells.clone());
+        let windows = self.trainer.windows(&self.gaussians);
+        let (mut counts, expired) = relabel(
+            &mut self.gaussians,
+            windows,
+            &job.labels,
+            &witness,
+            &self.camera,
+            &pose,
+            &self.config.labels,
+        );
+        let keep: Vec<bool> = expired.into_iter().map(|e| !e).collect();
+        if counts.removed > 0 && self.trainer.retain(&mut self.gaussians, &keep).is_err() {
+            counts.removed = 0; // never: there is a decision for every Gaussian
+        }
+        counts
     }
 
     /// Trains for so many iterations on all keyframes, then drops what has faded. `poses` are

@@ -21,6 +21,8 @@ pub enum Stage {
     LocalBa,
     /// Tracking waits for a mapping job that is due (one thread: the job itself).
     Handover,
+    /// Gaussians labelled by a keyframe.
+    Relabel,
     /// Gaussians inserted for a keyframe.
     Insert,
     /// One training iteration.
@@ -41,6 +43,7 @@ impl Stage {
             Self::LabelMap => "label_map",
             Self::LocalBa => "local_ba",
             Self::Handover => "handover",
+            Self::Relabel => "relabel",
             Self::Insert => "insert",
             Self::Train => "train",
         }

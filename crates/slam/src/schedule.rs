@@ -217,6 +217,7 @@ mod tests {
             rgb: RgbImage::new(32, 24, [90, 120, 30]),
             depth: DepthImage::new(32, 24, 2.0),
             mask: None,
+            cells: None,
             labels: Vec::new(),
             poses: vec![Se3::identity(); keyframe as usize + 1],
             new_landmarks: Vec::new(),

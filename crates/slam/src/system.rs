@@ -17,7 +17,7 @@ use crate::labels::frame::{FrameLabels, Lattice, full_size};
 use crate::labels::witness::Witness;
 use crate::map::Map;
 use crate::mapper::train::{TrainError, TrainStep};
-use crate::mapper::{Mapper, MappingJob, NewLandmark};
+use crate::mapper::{Mapper, MappingDone, MappingJob, NewLandmark};
 use crate::observer::{Observer, Stage};
 use crate::schedule::{MappingObserver, Schedule};
 use crate::tracker::TrackingState;
@@ -130,8 +130,8 @@ pub struct Slam {
     /// What moves in the last tracked frame.
     frame_labels: Option<FrameLabels>,
     schedule: Schedule,
-    /// Where mapping stopped early, and why.
-    mapping_errors: Vec<String>,
+    /// What became of every keyframe's job.
+    mapped: Vec<MappingDone>,
     state: TrackingState,
     recovered_at: Option<FrameId>,
     next_frame: FrameId,
@@ -199,7 +199,7 @@ impl Slam {
             crf,
             frame_labels: None,
             schedule,
-            mapping_errors: Vec::new(),
+            mapped: Vec::new(),
             state: TrackingState::NotInitialised,
             recovered_at: None,
             next_frame: FrameId(0),
@@ -376,7 +376,7 @@ impl Slam {
             loss = done.loss,
             "mapped"
         );
-        self.mapping_errors.extend(done.error);
+        self.mapped.push(done);
         Ok(true)
     }
 
@@ -401,10 +401,10 @@ impl Slam {
         self.schedule.mapper().map(Mapper::gaussians)
     }
 
-    /// Where mapping stopped early, and why; tracking is not touched by it.
+    /// What became of the mapping jobs handed over so far.
     #[must_use]
-    pub fn mapping_errors(&self) -> &[String] {
-        &self.mapping_errors
+    pub fn mapped(&self) -> &[MappingDone] {
+        &self.mapped
     }
 
     /// The last tracked frame, with the landmarks its keypoints were linked to.
@@ -552,6 +552,7 @@ impl Slam {
             (Some(cells), _) => Some(full_size(cells, input.rgb.size())),
             (None, given) => given.cloned(),
         };
+        let cells_of_job = cells.clone();
         let mut labels = Vec::new();
         if self.config.labels.enabled && input.mask.is_none() {
             observer.begin(Stage::LabelMap);
@@ -579,6 +580,7 @@ impl Slam {
                 rgb: input.rgb.clone(),
                 depth: input.depth.clone(),
                 mask,
+                cells: cells_of_job,
                 labels,
                 poses: self.keyframe_poses(),
                 new_landmarks: self.landmarks_born_in(id),

@@ -4,7 +4,7 @@ use garad_core::{Camera, DepthImage, FrameId, Image, Label, MaskImage, Real};
 use garad_crf::{Cues, Node, unary};
 use nalgebra::{Vector2, Vector3};
 
-use super::witness::{CELL_PX, Court};
+use super::witness::{CELL_PX, Court, Statement, Verdict};
 use crate::frame::Frame;
 use crate::mask::{self, MOVING};
 use crate::system::Slam;
@@ -125,21 +125,22 @@ impl Slam {
             .map(|(_, sample)| *sample)
             .chain(lattice.iter().flatten().copied())
             .collect();
-        let nodes = self.nodes(&samples, frame.id);
-        let against = |n: &Node| {
-            n.cues
-                .depth_residual
-                .is_some_and(|r| r > config.suspect_sigmas)
-        };
-        let judged = nodes
-            .iter()
-            .filter(|n| n.cues.depth_residual.is_some())
-            .count();
-        let suspects = nodes.iter().filter(|n| against(n)).count();
+        let verdicts = self.hear(&samples, frame.id);
+        let judged = verdicts.iter().filter_map(|v| v.residual);
+        let suspects = judged.clone().filter(|r| *r > config.suspect_sigmas);
+        let (judged, suspects) = (judged.count(), suspects.count());
         if suspects as f64 > config.max_moving * judged as f64 {
             return None;
         }
-        let log_odds: Vec<f64> = nodes.iter().map(|n| self.log_odds(&n.cues)).collect();
+        let nodes: Vec<Node> = samples
+            .iter()
+            .map(|sample| Node {
+                p_world: sample.p_world,
+                uv_px: Some(sample.px),
+                ..Node::default()
+            })
+            .collect();
+        let log_odds: Vec<f64> = verdicts.iter().map(|v| self.log_odds(v)).collect();
         // Numbers come from depths and poses that are finite: the answer is never an error.
         let beliefs = self.crf.infer_from_log_odds(&nodes, &log_odds, self.par);
         let beliefs = beliefs.ok()?;
@@ -147,11 +148,11 @@ impl Slam {
         let (of_keypoints, of_lattice) = beliefs.dynamic.split_at(keypoints.len());
         let cells = self.cells(&lattice, of_lattice, depth);
         let mut label: Vec<Label> = frame.px.iter().map(|px| label_at(&cells, px)).collect();
+        // Keypoints crowd where there is texture and back each other up there; the lattice is even.
         for ((i, _), belief) in keypoints.iter().zip(of_keypoints) {
-            label[*i] = match *belief > self.config.crf.threshold {
-                true => Label::Dynamic,
-                false => Label::Static,
-            };
+            if *belief > self.config.crf.threshold {
+                label[*i] = Label::Dynamic;
+            }
         }
         let near = mask::dilated(&cells, config.reach_px.div_ceil(CELL_PX));
         let in_use = frame
@@ -164,18 +165,29 @@ impl Slam {
         Some(cells)
     }
 
-    /// What the cues of a sample say for its moving. That it stands where something stood before
-    /// says little: whatever pauses for a moment does.
-    fn log_odds(&self, cues: &Cues) -> f64 {
-        let p_static = match cues.depth_residual {
-            Some(_) => unary::p_static(cues, &self.config.crf.unary),
+    /// What a verdict says for the moving of a sample. That it stands where something stood a moment
+    /// ago says little: a person takes a second to leave their own outline. That it stood there a
+    /// second ago says a lot.
+    fn log_odds(&self, verdict: &Verdict) -> f64 {
+        let config = &self.config.labels;
+        let unary = &self.config.crf.unary;
+        let trust = match verdict.residual {
+            None => config.trust_unknown,
+            Some(_) => {
+                let settled = f64::from(verdict.agreed_for) / f64::from(config.settle_frames);
+                let [young, old] = [config.trust_young, config.trust_old];
+                young + (old - young) * settled.min(1.0)
+            }
+        };
+        let cues = Cues {
+            depth_residual: verdict.residual,
+            ..Cues::default()
+        };
+        let likelihood = match verdict.residual {
             None => 1.0,
+            Some(_) => unary::p_static(&cues, unary),
         };
-        let trust = match cues.depth_residual {
-            Some(_) => self.config.labels.trust_agreement,
-            None => self.config.labels.trust_unknown,
-        };
-        let p = (p_static * trust).max(self.config.crf.unary.clamp);
+        let p = (likelihood * trust).max(unary.clamp);
         Real::ln((1.0 - p) / p)
     }
 
@@ -197,26 +209,13 @@ impl Slam {
             .collect()
     }
 
-    /// Samples with what the keyframes of the last seconds say about them.
-    fn nodes(&self, samples: &[Sample], now: FrameId) -> Vec<Node> {
+    /// What the keyframes of the last seconds say about the samples.
+    fn hear(&self, samples: &[Sample], now: FrameId) -> Vec<Verdict> {
         let court = self.court(now);
         self.par
             .map_chunks(samples.len(), 128, |range| {
-                range
-                    .map(|i| {
-                        let sample = &samples[i];
-                        let depth_residual = court.residual(&sample.p_world);
-                        Node {
-                            p_world: sample.p_world,
-                            uv_px: Some(sample.px),
-                            cues: Cues {
-                                depth_residual,
-                                ..Cues::default()
-                            },
-                            previous: None,
-                        }
-                    })
-                    .collect::<Vec<_>>()
+                let heard = range.map(|i| court.hear(&samples[i].p_world));
+                heard.collect::<Vec<_>>()
             })
             .concat()
     }
@@ -226,12 +225,16 @@ impl Slam {
         let oldest = now.0.saturating_sub(self.config.labels.memory_frames);
         let recent = self.witnesses.iter().filter_map(|(k, witness)| {
             let keyframe = self.map.keyframe(*k);
-            (keyframe.id.0 >= oldest).then_some((keyframe.camera_from_world, witness))
+            (keyframe.id.0 >= oldest).then_some(Statement {
+                witness,
+                camera_from_world: keyframe.camera_from_world,
+                age: now.0 - keyframe.id.0,
+            })
         });
         Court {
             camera: &self.camera,
             noise: &self.config.labels.noise,
-            witnesses: recent.collect(),
+            statements: recent.collect(),
         }
     }
 

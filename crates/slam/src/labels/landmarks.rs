@@ -106,7 +106,7 @@ impl Slam {
         let mean = |(sum, n): (f64, usize)| (n > 0).then(|| sum / n as f64);
         Cues {
             reproj_px: mean(reproj),
-            depth_residual: court.residual(&p),
+            depth_residual: court.hear(&p).residual,
             observations: u32::try_from(landmark.observations.len()).ok(),
             epipolar_px: mean(epipolar),
         }

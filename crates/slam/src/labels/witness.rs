@@ -19,6 +19,9 @@ use crate::mask::MOVING;
 /// Side of the cells the picture is summed up in, px.
 pub(crate) const CELL_PX: usize = 4;
 
+/// Depth that a moving thing may have within 12 pixels, metres.
+const BODY_M: f64 = 0.2;
+
 /// A depth picture in cells of 4 x 4 pixels.
 #[derive(Debug, Clone)]
 pub(crate) struct Witness {
@@ -95,39 +98,65 @@ impl Witness {
         if z < near - sigma_m {
             Testimony::SeenThrough((near - z) / sigma_m)
         } else if z <= far + 3.0 * sigma_m {
-            let moving = self.moving.as_ref().and_then(|m| m.get(x, y));
-            Testimony::Agrees(moving != Some(&MOVING))
+            let moving = self.moving.as_ref().and_then(|m| m.get(x, y)) == Some(&MOVING);
+            // Where something moves, what lies behind it is not part of it.
+            match moving && z > near + BODY_M {
+                true => Testimony::Hidden,
+                false => Testimony::Agrees(!moving),
+            }
         } else {
             Testimony::Hidden
         }
     }
 }
 
-/// Witnesses and where they stood.
+/// A witness, where it stood and how long ago.
+#[derive(Debug)]
+pub(crate) struct Statement<'a> {
+    pub(crate) witness: &'a Witness,
+    pub(crate) camera_from_world: Se3,
+    /// Frames since.
+    pub(crate) age: u32,
+}
+
+/// All that are asked about a frame.
 #[derive(Debug)]
 pub(crate) struct Court<'a> {
     pub(crate) camera: &'a Camera,
     pub(crate) noise: &'a DepthNoise,
-    /// camera_from_world, and what was seen from there.
-    pub(crate) witnesses: Vec<(Se3, &'a Witness)>,
+    pub(crate) statements: Vec<Statement<'a>>,
+}
+
+/// What all witnesses together say about a point.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Verdict {
+    /// How far it stands in front of what was seen behind it, in standard deviations of the sensor:
+    /// the largest that any witness says, 0 if all that know of it agree, `None` if none does.
+    pub(crate) residual: Option<f64>,
+    /// Age of the oldest witness that agrees, frames.
+    pub(crate) agreed_for: u32,
 }
 
 impl Court<'_> {
-    /// How far a point stands in front of what was seen behind it, in standard deviations of the
-    /// sensor: the largest that any witness says, 0 if all that know of it agree, `None` if none
-    /// does.
-    pub(crate) fn residual(&self, p_world: &Vector3<f64>) -> Option<f64> {
-        let mut residual: Option<f64> = None;
-        for (pose, witness) in &self.witnesses {
-            match witness.testify(p_world, self.camera, pose, self.noise) {
-                Testimony::SeenThrough(sigmas) => {
-                    residual = Some(residual.unwrap_or(0.0).max(sigmas));
+    pub(crate) fn hear(&self, p_world: &Vector3<f64>) -> Verdict {
+        let mut verdict = Verdict::default();
+        for Statement {
+            witness,
+            camera_from_world,
+            age,
+        } in &self.statements
+        {
+            let before = verdict.residual.unwrap_or(0.0);
+            match witness.testify(p_world, self.camera, camera_from_world, self.noise) {
+                Testimony::SeenThrough(sigmas) => verdict.residual = Some(before.max(sigmas)),
+                Testimony::Agrees(true) => {
+                    verdict.residual = Some(before);
+                    verdict.agreed_for = verdict.agreed_for.max(*age);
                 }
-                Testimony::Agrees(true) => residual = Some(residual.unwrap_or(0.0)),
                 Testimony::Agrees(false) | Testimony::Hidden | Testimony::Absent => {}
             }
         }
-        residual
+        verdict
     }
 }
 

@@ -7,6 +7,7 @@
 
 use garad_core::undistort::Undistortion;
 use garad_core::{Camera, GaussianMap, KeyframeId, Label, Par, Rng, Se3};
+use garad_crf::LabelWindow;
 use garad_optim::{Adam, AdamConfig, OptimError, sgd};
 use garad_raster::losses::{depth_l1, opacity_penalty, photometric};
 use garad_raster::{Gradients, Include, RasterError, RenderOptions, Upstream, fast};
@@ -29,6 +30,8 @@ pub struct Trainer {
     rng: Rng,
     seed: u64,
     groups: Groups,
+    /// Labels of the last runs of each Gaussian (eq. 7).
+    windows: Vec<LabelWindow>,
     densifier: Densifier,
     iterations: usize,
 }
@@ -98,6 +101,7 @@ impl Trainer {
                 opacity_logits: group(1)?,
                 sh: group(3)?,
             },
+            windows: Vec::new(),
             densifier: Densifier::default(),
             iterations: 0,
         })
@@ -106,6 +110,12 @@ impl Trainer {
     /// One more picture to learn from.
     pub fn add_view(&mut self, view: TrainingView) {
         self.views.push(view);
+    }
+
+    /// The label windows, one per Gaussian of the map.
+    pub fn windows(&mut self, map: &GaussianMap) -> &mut [LabelWindow] {
+        self.extend(map.len());
+        &mut self.windows
     }
 
     /// Pictures so far.
@@ -217,7 +227,14 @@ impl Trainer {
         let mut rng = Rng::keyed(self.seed, &[0x6772_6f77, self.iterations as u64]);
         let split = densify(map, &self.densifier, extent_m, config, &mut rng);
         self.densifier = Densifier::default();
+        let before = self.windows.len();
         self.extend(map.len());
+        for i in before..map.len() {
+            // Clones and children inherit what is known of their parent.
+            if let Some(parent) = map.parent[i] {
+                self.windows[i] = self.windows[parent as usize];
+            }
+        }
         let faded = faded(map, config.min_opacity);
         let keep: Vec<bool> = (0..map.len())
             .map(|i| !faded[i] && !split.get(i).copied().unwrap_or(false))
@@ -239,6 +256,8 @@ impl Trainer {
 
     fn extend(&mut self, rows: usize) {
         let new = rows.saturating_sub(self.groups.means.rows());
+        self.windows
+            .resize(rows.max(self.windows.len()), LabelWindow::default());
         let Groups {
             means,
             log_scales,
@@ -267,6 +286,9 @@ impl Trainer {
         for group in [means, log_scales, quaternions, opacity_logits, sh] {
             group.retain(keep)?;
         }
+        let mut kept = keep.iter();
+        self.windows
+            .retain(|_| kept.next().copied().unwrap_or(true));
         self.densifier.retain(keep);
         map.retain(|i| keep[i]);
         Ok(())
