@@ -131,7 +131,7 @@ fn column_offsets(s: &Suspect<'_>) -> Option<String> {
     let fixed = s.map(|i, g| g - offsets[i % n]);
     let largest = s.expected.iter().fold(0.0f64, |m, v| m.max(v.abs()));
     let small = |o: &f64| *o != 0.0 && o.abs() < LEAST_OFFSET * largest;
-    if offsets.iter().any(|o| small(o)) {
+    if offsets.iter().any(small) {
         return None;
     }
     let centers = centers(s);
