@@ -93,7 +93,7 @@ fn a_right_answer_passes_and_a_wrong_one_says_where() {
     let base = [
         "check",
         "--actual",
-        arg(&folder.path()),
+        arg(folder.path()),
         "--stage",
         "raster_backward",
     ];
@@ -144,7 +144,7 @@ fn conics_without_blur_are_recognised() {
     let checked = [
         "check",
         "--actual",
-        arg(&folder.path()),
+        arg(folder.path()),
         "--stage",
         "projection_covariance",
         "--case",
