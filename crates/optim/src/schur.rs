@@ -25,7 +25,6 @@
 //!
 //! Source: Triggs et al., *Bundle adjustment: a modern synthesis*, 2000, sec. 6.1.
 
-use garad_core::so3::hat;
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 
 use crate::blocks::{Block, BlockMatrix, Pattern};
@@ -158,20 +157,20 @@ impl<'a> SchurSystem<'a> {
         self.v[l] += back * coupling;
         self.point_gradient[l] += back * g;
         let mut w = [0.0; 18];
-        if let Some(p) = self.structure.step[self.w.len()] {
-            let p_hat = hat(&seen.point);
-            let turned = p_hat * a;
-            let u = &mut self.u[p];
+        if let Some(k) = self.structure.step[self.w.len()] {
+            let p = &seen.point;
+            let turned = cross(p, a);
+            let u = &mut self.u[k];
             add_3x3(u, (0, 0), a);
             add_3x3(u, (3, 0), &turned);
-            add_3x3(u, (3, 3), &(p_hat * turned.transpose()));
-            let torque = p_hat * g;
-            let gradient = &mut self.pose_gradient[p];
+            add_3x3(u, (3, 3), &cross(p, &turned.transpose()));
+            let torque = p.cross(g);
+            let gradient = &mut self.pose_gradient[k];
             for i in 0..3 {
                 gradient[i] += g[i];
                 gradient[i + 3] += torque[i];
             }
-            let turned = p_hat * coupling;
+            let turned = cross(p, &coupling);
             for (j, column) in w.as_chunks_mut::<6>().0.iter_mut().enumerate() {
                 for i in 0..3 {
                     column[i] = coupling[(i, j)];
@@ -342,6 +341,13 @@ impl Damping {
     }
 }
 
+/// p^ A.
+#[inline]
+fn cross(p: &Vector3<f64>, a: &Matrix3<f64>) -> Matrix3<f64> {
+    let column = |j: usize| p.cross(&a.column(j).into_owned());
+    Matrix3::from_columns(&[column(0), column(1), column(2)])
+}
+
 /// A 3x3 block of U, plus a matrix.
 #[inline]
 fn add_3x3(u: &mut Matrix6<f64>, (row, column): (usize, usize), a: &Matrix3<f64>) {
@@ -389,6 +395,7 @@ fn subtract_product(c: &mut Block, a: &Coupling, b: &Coupling) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use garad_core::so3::hat;
     use garad_core::{Rng, So3};
 
     /// Two free poses and a fixed one, three points, one of them unseen, one seen twice by one

@@ -97,6 +97,37 @@ fn exact_observations_give_the_exact_bundle() {
     }
 }
 
+/// A whole trajectory at once: 16 keyframes, each point seen by four in a row. The reduced system is a band,
+/// and some points seen from both ends close it to a ring.
+#[test]
+fn a_long_path_is_one_bundle() {
+    let mut scene = scene(16, 240);
+    let window = |point: usize| point % 13..point % 13 + 4;
+    let at_both_ends = |o: &BundleObservation| o.point < 12 && (o.pose < 2 || o.pose > 13);
+    scene
+        .observations
+        .retain(|o| window(o.point).contains(&o.pose) || at_both_ends(o));
+    let config = BundleConfig {
+        iterations: 60,
+        cost_tolerance: 1e-14,
+        ..BundleConfig::default()
+    };
+    let report = optimise_bundle(
+        &scene.camera,
+        BF,
+        &mut scene.start.poses,
+        &scene.fixed,
+        &mut scene.start.points,
+        &scene.observations,
+        &config,
+    );
+    let report = report.unwrap().report;
+    assert!(report.cost < 1e-9, "{report:?}");
+    for (found, truth) in scene.start.poses.iter().zip(&scene.truth.poses) {
+        assert!((*found * truth.inverse()).log().norm() < 1e-4, "{found:?}");
+    }
+}
+
 /// A free pose without a single observation has no equation; the others are still solved.
 #[test]
 fn a_pose_that_sees_nothing_does_not_stop_the_others() {
