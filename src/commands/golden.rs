@@ -1,6 +1,8 @@
 //! `garad golden`: any backend against the golden cases.
 
-use std::collections::BTreeMap;
+mod list;
+mod tolerances;
+
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
@@ -11,8 +13,7 @@ use garad::conformance::own::{self, Width};
 use garad::conformance::port::{self, Ended, Job};
 use garad::progress;
 use garad_golden::judge::{Answers, CaseVerdict, Outcome, judge, read_answers};
-use garad_golden::{Case, Class, Dtype, npy, report, stages, tol};
-use serde_json::{Value, json};
+use garad_golden::{Case, npy, report, stages};
 
 use super::{make_folder, say};
 
@@ -122,10 +123,10 @@ impl From<OwnWidth> for Width {
 
 pub(crate) fn run(command: &Command) -> Result<ExitCode> {
     match command {
-        Command::List(args) => list(args)?,
+        Command::List(args) => list::list(&args.filter.load()?, args.json)?,
         Command::Check(args) => return check(args),
         Command::Answer(args) => return answer(args),
-        Command::Tolerances => tolerances()?,
+        Command::Tolerances => tolerances::tolerances(&Case::load_root(&default_root()?)?)?,
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -170,151 +171,6 @@ fn default_root() -> Result<PathBuf> {
     let roots = [here, Case::root()];
     let found = roots.into_iter().find(|root| root.is_dir());
     found.context("tests/golden: no such folder; start in a checkout, or name it with --cases")
-}
-
-fn tensors<'a>(case: &'a Case, names: impl Iterator<Item = &'a str>, inputs: bool) -> Vec<Value> {
-    let entry = |name: &str| {
-        let tensor = if inputs {
-            case.input(name)
-        } else {
-            case.output(name)
-        };
-        let tolerance = case.tolerance(name).ok().filter(|_| !inputs);
-        json!({
-            "name": name,
-            "dtype": tensor.dtype().name(),
-            "shape": tensor.shape(),
-            "tolerance": tolerance.map(|t| t.name),
-        })
-    };
-    names.map(entry).collect()
-}
-
-fn list(args: &ListArgs) -> Result<()> {
-    let cases = args.filter.load()?;
-    if args.json {
-        let entry = |case: &Case| {
-            json!({
-                "stage": case.stage(),
-                "case": case.case(),
-                "folder": case.folder(),
-                "why": case.why(),
-                "basis": case.basis(),
-                "equations": case.equations(),
-                "flags": case.flags(),
-                "params": case.param_names().map(|n| (n, case.param(n))).collect::<BTreeMap<_, _>>(),
-                "inputs": tensors(case, case.input_names(), true),
-                "outputs": tensors(case, case.output_names(), false),
-            })
-        };
-        let list: Vec<Value> = cases.iter().map(entry).collect();
-        return say(&serde_json::to_string_pretty(&list)?);
-    }
-    let mut stage = "";
-    for case in &cases {
-        if case.stage() != stage {
-            stage = case.stage();
-            let about = stages::find(stage).map_or("", |s| s.about);
-            say(&format!("{stage}: {about}"))?;
-        }
-        let equations = match case.equations() {
-            [] => String::new(),
-            some => format!(" · {}", some.join(", ")),
-        };
-        say(&format!("  {} · {}{equations}", case.case(), case.basis()))?;
-        say(&format!("      {}", case.why()))?;
-        let shape = |name: &str, tensor: &garad_golden::Tensor| {
-            format!("{name} {}{:?}", tensor.dtype().name(), tensor.shape())
-        };
-        let inputs = case.input_names().map(|n| shape(n, case.input(n)));
-        let outputs = case.output_names().map(|n| shape(n, case.output(n)));
-        say(&format!(
-            "      in   {}",
-            inputs.collect::<Vec<_>>().join(", ")
-        ))?;
-        say(&format!(
-            "      out  {}",
-            outputs.collect::<Vec<_>>().join(", ")
-        ))?;
-    }
-    say(&format!("{} cases", cases.len()))?;
-    for (part, why) in stages::MISSING {
-        say(&format!("without a case: {part} ({why})"))?;
-    }
-    Ok(())
-}
-
-/// Largest share of each tolerance that this project's own stages use, in both widths.
-fn margins() -> Result<BTreeMap<String, f64>> {
-    let mut margins = BTreeMap::new();
-    let cases = Case::load_root(&default_root()?)?;
-    for width in [Width::F64, Width::F32] {
-        for case in &cases {
-            let Some(answers) = own::answers(case, width)? else {
-                continue;
-            };
-            for output in judge(case, &answers, false).outputs {
-                let Some(comparison) = output.comparison else {
-                    continue;
-                };
-                let narrow = output.dtype == Some(Dtype::F32)
-                    && case.output(&output.name).dtype() == Dtype::F64
-                    && tol::find(comparison.tolerance.name) != Some(&comparison.tolerance);
-                let suffix = if narrow { SCALED } else { "" };
-                let name = format!("{}{suffix}", comparison.tolerance.name);
-                let seen = margins.entry(name).or_insert(0.0f64);
-                *seen = seen.max(comparison.worst);
-            }
-        }
-    }
-    Ok(margins)
-}
-
-/// Marks a tolerance of f64 that was widened for f32.
-const SCALED: &str = " x 2^29";
-
-fn tolerances() -> Result<()> {
-    let margins = margins()?;
-    let seen = |name: &str| {
-        margins
-            .get(name)
-            .map_or("-".to_owned(), |m| format!("{m:.3}"))
-    };
-    say(&format!("{:36} {:28} seen   reason", "name", "allowed"))?;
-    for t in tol::TABLE {
-        let part = |abs: f64, rel: f64, of: &str| match (abs > 0.0, rel > 0.0) {
-            (true, false) => format!("{abs:e}"),
-            (false, _) => format!("{rel:e} {of}"),
-            (true, true) => format!("{abs:e} + {rel:e} {of}"),
-        };
-        let rule = match t.class {
-            Class::Exact => "exact".to_owned(),
-            Class::Ulp(n) => format!("{n} ulp"),
-            Class::AbsRel { abs, rel } => part(abs, rel, "|x|"),
-            Class::Vector { abs, rel } => part(abs, rel, "max |x|"),
-            Class::Banded { tight, share, hard } => {
-                format!("{tight:e}; {} %: {hard:e}", 100.0 * share)
-            }
-        };
-        say(&format!(
-            "{:36} {rule:28} {:6} {}",
-            t.name,
-            seen(t.name),
-            t.reason
-        ))?;
-        let scaled = format!("{}{SCALED}", t.name);
-        if margins.contains_key(&scaled) {
-            say(&format!(
-                "{scaled:36} {:28} {:6} as above, for f32",
-                "",
-                seen(&scaled)
-            ))?;
-        }
-    }
-    say(
-        "seen: the largest share of it that this project's own stages use; -: they are not run here",
-    )?;
-    say("f32 without an entry of its own: 2^29 times the tolerance, if that is at most 1e-12")
 }
 
 /// Exit code 77 for a stage that is not among [`own::STAGES`], as for any port.

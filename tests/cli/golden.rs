@@ -114,6 +114,7 @@ fn a_right_answer_passes_and_a_wrong_one_says_where() {
     assert_eq!(code, 1, "{text}");
     for word in [
         "FAIL d_pose[4]",
+        "cosine -1.000000",
         "the sign",
         "raster_backward FAILS",
         "raster was not run",

@@ -10,6 +10,7 @@ use std::path::Path;
 use crate::case::Case;
 use crate::compare::{Comparison, compare};
 use crate::explain::explain;
+use crate::metrics::Metrics;
 use crate::npy;
 use crate::tensor::{Dtype, Tensor};
 use crate::tol::{self, Class};
@@ -60,6 +61,8 @@ pub struct OutputVerdict {
     pub dtype: Option<Dtype>,
     /// The worst element, if element could be compared with element.
     pub comparison: Option<Comparison>,
+    /// How it differs as a whole, if it is a list of reals out of tolerance.
+    pub metrics: Option<Metrics>,
     /// What else helps: the slip that explains the answer, what the shape should be.
     pub note: Option<String>,
 }
@@ -207,6 +210,7 @@ fn problem(name: &str, verdict: Verdict, dtype: Option<Dtype>, note: &str) -> Ou
         verdict,
         dtype,
         comparison: None,
+        metrics: None,
         note: Some(note.to_owned()),
     }
 }
@@ -287,11 +291,15 @@ fn judge_output(case: &Case, name: &str, answer: &Tensor, in_f32: bool) -> Outpu
             slip.or_else(|| looks_like_f32(answer, &comparison)),
         )
     };
+    let columns = expected.shape().last().copied().unwrap_or(1);
+    let whole = tolerance.class == Class::Exact || verdict == Verdict::Pass;
+    let metrics = Metrics::of(&values, &got, columns).filter(|_| !whole);
     OutputVerdict {
         name: name.to_owned(),
         verdict,
         dtype,
         comparison: Some(comparison),
+        metrics,
         note,
     }
 }

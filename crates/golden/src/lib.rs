@@ -23,6 +23,7 @@ pub mod error;
 pub mod explain;
 pub mod judge;
 mod manifest;
+pub mod metrics;
 pub mod npy;
 pub mod report;
 pub mod stages;

@@ -53,6 +53,9 @@ pub fn table(verdicts: &[CaseVerdict]) -> String {
                 .filter(|o| o.verdict != Verdict::Pass)
             {
                 line(&mut text, format_args!("    {}", describe(output)));
+                if let Some(metrics) = &output.metrics {
+                    line(&mut text, format_args!("        {metrics}"));
+                }
                 if let Some(note) = &output.note {
                     line(&mut text, format_args!("        {note}"));
                 }
@@ -220,6 +223,12 @@ pub fn to_json(verdicts: &[CaseVerdict], passed: bool) -> Value {
             entry["got"] = number(c.got);
             entry["outside"] = json!(c.outside);
             entry["elements"] = json!(c.elements);
+        }
+        if let Some(m) = &output.metrics {
+            entry["rel_l2"] = json!(m.rel_l2);
+            entry["cosine"] = json!(m.cosine);
+            entry["rows_missing"] = json!(m.rows_missing);
+            entry["rows_extra"] = json!(m.rows_extra);
         }
         entry
     };

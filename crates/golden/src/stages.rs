@@ -48,6 +48,7 @@ pub const STAGES: &[Stage] = &[
     stage("flow", "flow test", &[], "mean and covariance of static flow, chi-square gate"),
     stage("robust", "pose lm", &[], "robust kernels and their weights"),
     stage("reprojection", "pose lm", &["se3", "camera"], "residuals and Jacobians"),
+    stage("place", "relocalisation", &["orb"], "descriptors to words, and pictures that share them"),
     stage("pnp", "relocalisation", &["se3", "camera"], "the pose from points and their pixels alone"),
     stage("pose_lm", "pose lm", &["se3", "reprojection", "robust"], "the pose with the least cost"),
     stage("bundle", "bundle adjustment", &["se3", "reprojection", "robust"], "poses and points with the least cost"),
