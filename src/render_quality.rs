@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use garad_core::undistort::Undistortion;
-use garad_core::{Camera, Distortion, GaussianMap, Par, RgbImage, StampedPose};
+use garad_core::{Camera, DepthImage, Distortion, GaussianMap, Par, RgbImage, StampedPose};
 use garad_eval::{DepthMetrics, GHOST_GAP_M, RenderMetrics, compare_pictures, depth_l1, ghosts};
 use garad_raster::{Include, RenderOptions, fast};
 
@@ -66,7 +66,8 @@ pub fn judge(
         if let Ok(error) = depth_l1(&drawn, &measured, mask.as_ref()) {
             depth.add(error);
         }
-        if let Ok(found) = ghosts(&drawn, &measured, mask.as_ref(), GHOST_GAP_M) {
+        let background = nearest_around(&measured);
+        if let Ok(found) = ghosts(&drawn, &background, mask.as_ref(), GHOST_GAP_M) {
             depth.ghosts += found.fraction;
         }
         if let Some(mask) = mask
@@ -102,6 +103,30 @@ fn pose_at(trajectory: &[StampedPose], t_s: f64) -> Option<&StampedPose> {
 fn straightened(straight: &Undistortion, rgb: &RgbImage, par: Par) -> RgbImage {
     let to_u8 = |v: f32| (v * 255.0 + 0.5) as u8;
     straight.color(rgb, par).map(|c| c.map(to_u8))
+}
+
+/// Pixels around within which the nearest measured depth counts as the background: a splat at an
+/// edge reaches a few pixels over it, and colour and depth are a few pixels off each other.
+const EDGE_PX: usize = 6;
+
+/// The smallest measured depth in the square of [`EDGE_PX`] around each pixel that has a depth.
+fn nearest_around(depth: &DepthImage) -> DepthImage {
+    let (width, height) = depth.size();
+    let least = |values: &mut dyn Iterator<Item = f32>| {
+        let known = values.filter(|z| *z > 0.0);
+        known.fold(f32::INFINITY, f32::min)
+    };
+    let around = |c: usize, n: usize| c.saturating_sub(EDGE_PX)..(c + EDGE_PX + 1).min(n);
+    let rows = DepthImage::from_fn(width, height, |x, y| {
+        least(&mut depth.row(y)[around(x, width)].iter().copied())
+    });
+    DepthImage::from_fn(width, height, |x, y| {
+        if depth[(x, y)] > 0.0 {
+            least(&mut around(y, height).map(|y| rows[(x, y)]))
+        } else {
+            0.0
+        }
+    })
 }
 
 #[derive(Default)]
@@ -157,6 +182,19 @@ impl DepthSums {
 mod tests {
     use super::*;
     use garad_core::Se3;
+
+    #[test]
+    fn an_edge_is_no_ghost() {
+        let mut depth = DepthImage::new(20, 3, 4.0);
+        depth[(2, 1)] = 1.0;
+        depth[(15, 1)] = 0.0;
+        let nearest = nearest_around(&depth);
+        assert_eq!(
+            (nearest[(8, 2)], nearest[(9, 2)], nearest[(15, 1)]),
+            (1.0, 4.0, 0.0),
+            "six pixels away, seven, unknown"
+        );
+    }
 
     #[test]
     fn poses_are_found_by_their_time() {

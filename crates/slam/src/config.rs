@@ -346,7 +346,8 @@ pub struct TrainConfig {
     pub lambda_dynamic: f64,
     /// Share of 1 - SSIM in the photometric loss (eq. 13).
     pub lambda_ssim: f64,
-    /// Weight of the depth error, 1/m. The paper has no such term: 0 is its loss.
+    /// Weight of the depth error, 1/m. The paper has no such term: 0 is its loss. Without it white
+    /// walls drift towards the camera (decision 006).
     pub lambda_depth: f64,
     /// Who takes the steps.
     pub optimiser: Optimiser,
@@ -380,7 +381,7 @@ impl Default for TrainConfig {
             lambda_photometric: 0.8,
             lambda_dynamic: 0.2,
             lambda_ssim: 0.2,
-            lambda_depth: 0.0,
+            lambda_depth: 0.2,
             optimiser: Optimiser::Adam,
             sh_degree: 3,
             sh_every: 1000,
