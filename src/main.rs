@@ -21,6 +21,8 @@ enum Command {
     Demo(commands::demo::Args),
     /// Track a TUM or BONN recording (folder, .tgz or .zip) and build its map.
     Run(commands::run::Args),
+    /// Run a recording with and without each part, and print what each earns.
+    Ablate(commands::ablate::Args),
     /// Judge results.
     #[command(subcommand)]
     Eval(commands::eval::Command),
@@ -48,6 +50,7 @@ fn main() -> ExitCode {
     let outcome = match cli.command {
         Command::Demo(args) => commands::demo::run(&args),
         Command::Run(args) => commands::run::run(&args),
+        Command::Ablate(args) => commands::ablate::run(&args),
         Command::Eval(command) => commands::eval::run(&command),
         Command::Render(args) => commands::render::run(&args),
         Command::Synth(args) => commands::synth::run(&args),

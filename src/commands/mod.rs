@@ -1,5 +1,6 @@
 //! One file per command.
 
+pub(crate) mod ablate;
 pub(crate) mod demo;
 pub(crate) mod eval;
 pub(crate) mod eval_render;

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use garad::output::{self, Judged};
 use garad::progress::note;
@@ -48,7 +48,7 @@ pub(crate) struct InputArgs {
     first_frame: usize,
     /// Stop at the first bad frame or disordered time instead of skipping it.
     #[arg(long)]
-    strict: bool,
+    pub(crate) strict: bool,
 }
 
 impl InputArgs {
@@ -180,11 +180,21 @@ pub(crate) fn frames<'a>(
     dataset.frames(PREFETCH).map(move |frame| {
         let frame = frame?;
         let i = frame.id.index();
-        let mask = oracle.map(|m| m.read(dataset, i)).transpose()?.flatten();
-        let truth = match truth {
-            Some(masks) => masks.read(dataset, i)?,
-            None => None,
-        };
+        let mask =
+            match oracle {
+                Some(masks) => Some(masks.read(dataset, i)?.with_context(|| {
+                    format!("frame {i}: no mask; expected one for every frame")
+                })?),
+                None => None,
+            };
+        // What is only judged by may have holes: the frame is run, and not judged.
+        let truth = truth.and_then(|masks| match masks.read(dataset, i) {
+            Ok(mask) => mask,
+            Err(error) => {
+                tracing::warn!("labels of frame {i} are not judged: {error:#}");
+                None
+            }
+        });
         let Frame {
             t_s, rgb, depth, ..
         } = frame;
@@ -214,6 +224,8 @@ impl Masks {
         let name = name.trim_end_matches('/');
         if dir.is_dir() {
             Ok(Self::Folder(dir.to_path_buf()))
+        } else if path.join(dir).is_dir() {
+            Ok(Self::Folder(path.join(dir)))
         } else if dataset.has_folder(name) {
             Ok(Self::Inside(name.to_owned()))
         } else {

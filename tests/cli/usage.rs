@@ -4,7 +4,7 @@ use std::process::Stdio;
 
 use crate::support::{Bench, arg, garad, program, short};
 
-const COMMANDS: [&str; 5] = ["demo", "run", "eval", "render", "synth"];
+const COMMANDS: [&str; 7] = ["demo", "run", "ablate", "eval", "render", "synth", "golden"];
 
 #[test]
 fn help_and_version() {

@@ -153,7 +153,7 @@ fn clones_and_children_come_and_faded_ones_go() {
     let (pruned, _) = run(&scene, config, Par::Threads(2));
     let logits = &pruned.gaussians().expect("at rest").opacity_logits;
     let faintest = logits.iter().copied().fold(f32::INFINITY, f32::min);
-    let least = (0.6f32 / 0.4).ln() - 1e-6;
+    let least = garad_core::Real::ln(0.6f32 / 0.4) - 1e-6;
     assert!(faintest >= least, "none below: {faintest}");
     assert!(
         logits.len() < count(&plain),

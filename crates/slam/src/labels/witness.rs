@@ -170,7 +170,7 @@ fn cell_of(p_cam: &Vector3<f64>, camera: &Camera) -> Option<(usize, usize)> {
     let px: Vector2<f64> = camera.distort_pixel(&camera.project(p_cam)?);
     let (x, y) = ((px.x + 0.5).floor(), (px.y + 0.5).floor());
     let inside = x >= 0.0 && y >= 0.0 && x < camera.width as f64 && y < camera.height as f64;
-    inside.then(|| (x as usize / CELL_PX, y as usize / CELL_PX))
+    inside.then_some((x as usize / CELL_PX, y as usize / CELL_PX))
 }
 
 /// `best` of the 3 x 3 cells around each.

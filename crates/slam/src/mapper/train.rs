@@ -46,6 +46,15 @@ struct Groups {
     sh: Adam<f32>,
 }
 
+/// One group about to take a step.
+struct Step<'a> {
+    parameters: &'a mut [f32],
+    gradient: &'a [f32],
+    adam: &'a mut Adam<f32>,
+    /// One per column.
+    rates: Vec<f64>,
+}
+
 /// What stops training.
 #[derive(Debug, Error)]
 #[non_exhaustive]
@@ -327,31 +336,39 @@ impl Trainer {
         let groups = &mut self.groups;
         let mut sh_rates = vec![sh / sh_rest_divisor; 3 * map.coefficients()];
         sh_rates[..3].fill(sh);
+        let group = |parameters, gradient, adam, rates| Step {
+            parameters,
+            gradient,
+            adam,
+            rates,
+        };
+        let means = vec![mean * extent_m; 3];
         #[rustfmt::skip]
-        let steps: [(&mut [f32], &[f32], &mut Adam<f32>, &[f64]); 5] = [
-            (map.means.as_flattened_mut(), gradients.means.as_flattened(),
-             &mut groups.means, &[mean * extent_m; 3]),
-            (map.log_scales.as_flattened_mut(), gradients.log_scales.as_flattened(),
-             &mut groups.log_scales, &[log_scale; 3]),
-            (map.quaternions.as_flattened_mut(), gradients.quaternions.as_flattened(),
-             &mut groups.quaternions, &[quaternion; 4]),
-            (&mut map.opacity_logits, &gradients.opacity_logits,
-             &mut groups.opacity_logits, &[opacity_logit]),
-            (map.sh.as_flattened_mut(), gradients.sh.as_flattened(), &mut groups.sh, &sh_rates),
+        let steps = [
+            group(map.means.as_flattened_mut(), gradients.means.as_flattened(),
+                  &mut groups.means, means),
+            group(map.log_scales.as_flattened_mut(), gradients.log_scales.as_flattened(),
+                  &mut groups.log_scales, vec![log_scale; 3]),
+            group(map.quaternions.as_flattened_mut(), gradients.quaternions.as_flattened(),
+                  &mut groups.quaternions, vec![quaternion; 4]),
+            group(&mut map.opacity_logits, &gradients.opacity_logits,
+                  &mut groups.opacity_logits, vec![opacity_logit]),
+            group(map.sh.as_flattened_mut(), gradients.sh.as_flattened(), &mut groups.sh, sh_rates),
         ];
-        if let Some(what) = steps
-            .iter()
-            .find_map(|(_, gradient, ..)| gradient.iter().position(|g| !g.is_finite()))
-        {
+        let bad = |step: &Step<'_>| step.gradient.iter().position(|g| !g.is_finite());
+        if let Some(index) = steps.iter().find_map(bad) {
             return Err(OptimError::NotFinite {
                 what: "gradient",
-                index: what,
+                index,
             });
         }
-        for (parameters, gradient, adam, rates) in steps {
+        for step in steps {
             match config.optimiser {
-                Optimiser::Adam => adam.step_by_column(parameters, gradient, rates)?,
-                Optimiser::Sgd => sgd(parameters, gradient, rates[0])?,
+                Optimiser::Adam => {
+                    step.adam
+                        .step_by_column(step.parameters, step.gradient, &step.rates)?;
+                }
+                Optimiser::Sgd => sgd(step.parameters, step.gradient, step.rates[0])?,
             }
         }
         Ok(())
