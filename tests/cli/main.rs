@@ -8,6 +8,7 @@ mod bad_maps;
 mod bad_recordings;
 mod golden;
 mod judging;
+mod labelling;
 mod rendering;
 mod results;
 mod settings;

@@ -1,0 +1,82 @@
+//! Labels found on the way, parts left out, and what each earns.
+
+use std::fs;
+
+use crate::support::{Bench, arg, garad, metrics, run_into, walking};
+
+/// Frames before anything is labelled.
+const BOOTSTRAP: usize = 10;
+
+#[test]
+fn labels_are_written_and_judged_by_the_recordings_own_masks() {
+    let bench = Bench::empty();
+    let answer = run_into(walking(), &bench.out(), &[]).succeeds();
+    assert!(answer.out.contains("labels     keypoints"), "{answer:?}");
+    let labels = bench.out().join("labels");
+    let rows = fs::read_to_string(labels.join("keypoints.csv")).expect("keypoints");
+    let mut rows = rows.lines();
+    assert_eq!(rows.next(), Some("frame,x_px,y_px,moves"), "a head");
+    let row: Vec<&str> = rows.next().expect("a keypoint").split(',').collect();
+    let first: usize = row[0].parse().expect("a frame");
+    assert!(first >= BOOTSTRAP, "the first frames are not labelled");
+    let mask = image::open(labels.join(format!("masks/{first:06}.png"))).expect("a mask");
+    assert_eq!((mask.width(), mask.height()), (40, 30), "4 x 4 pixels each");
+    let gaussians = fs::read_to_string(labels.join("gaussians.csv")).expect("counts");
+    assert!(
+        gaussians.starts_with("frame,keyframe,gaussians,dynamic"),
+        "{gaussians}"
+    );
+    let metrics = metrics(&bench.out());
+    let labels = &metrics["labels"];
+    assert!(labels["pixels"]["iou"].is_number(), "{metrics}");
+    assert!(
+        labels["keypoints"]["wrongly_dynamic"].is_number(),
+        "{metrics}"
+    );
+}
+
+#[test]
+fn parts_can_be_left_out() {
+    let bench = Bench::empty();
+    let run = |name: &str, options: &[&str]| {
+        run_into(walking(), &bench.path(name), options).succeeds();
+        (bench.path(name), metrics(&bench.path(name)))
+    };
+    let (out, no_labels) = run("crf", &["--without", "crf"]);
+    assert!(!out.join("labels").exists(), "nothing was labelled");
+    assert!(
+        no_labels["labels"]["keypoints"]["f1"].is_null(),
+        "{no_labels}"
+    );
+    let (_, no_map) = run("map", &["--without", "mapping", "--without", "flow"]);
+    assert_eq!(no_map["map"]["gaussians"], 0, "{no_map}");
+    let config = fs::read_to_string(bench.path("map").join("config.toml")).expect("as used");
+    assert!(config.contains("[flow]\nenabled = false"), "{config}");
+    let answer = run_into(walking(), &bench.out(), &["--without", "tracking"]);
+    answer.fails_with(&["tracking"]);
+}
+
+#[test]
+fn what_each_part_earns() {
+    let bench = Bench::empty();
+    let out = bench.out();
+    let answer = garad(["ablate", arg(walking()), "--quiet", "-o", arg(&out)]).succeeds();
+    for variant in ["full", "without flow", "without crf", "without mapping"] {
+        let row = format!("| {variant} | 0.");
+        assert!(answer.out.contains(&row), "{row} in {answer:?}");
+    }
+    let text = fs::read_to_string(out.join("ablation.json")).expect("figures");
+    let figures: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    assert_eq!(figures.as_array().map(Vec::len), Some(5), "{figures}");
+    assert!(
+        figures[0]["labels"]["pixels"]["iou"].is_number(),
+        "{figures}"
+    );
+    assert!(
+        out.join("full/report.html").exists(),
+        "each with its report"
+    );
+
+    let answer = garad(["ablate", arg(&bench.path("nowhere"))]);
+    answer.fails_with(&["nowhere"]);
+}
