@@ -20,7 +20,7 @@ use garad_eval::report::{FrameState, ReportData, Strip};
 use garad_eval::{
     Ate, AteOptions, Metrics, PictureQuality, RpeOptions, ate, compare_pictures, rpe,
 };
-use garad_raster::{RenderOptions, fast};
+use garad_raster::{Include, RenderOptions, fast};
 use garad_slam::TrackingState;
 
 use crate::pictures;
@@ -266,7 +266,8 @@ impl Drawn {
     }
 }
 
-/// Input and keypoints beside what the map shows from the same place, if that place is known.
+/// Input and labels beside what the static part of the map shows from the same place, if that place
+/// is known.
 fn draw(result: &RunResult, snapshot: &Snapshot) -> Result<Drawn> {
     let pose = result
         .trajectory
@@ -279,7 +280,10 @@ fn draw(result: &RunResult, snapshot: &Snapshot) -> Result<Drawn> {
                 result.gaussians()?,
                 result.slam.camera(),
                 &pose.world_from_camera.inverse(),
-                &RenderOptions::default(),
+                &RenderOptions {
+                    include: Include::StaticOnly,
+                    ..RenderOptions::default()
+                },
                 Par::new(result.threads),
             )?;
             let depth = rendered.normalized_depth();
