@@ -13,14 +13,37 @@ use garad_slam::Config;
 pub fn read(path: &Path) -> Result<Config> {
     let text = std::fs::read_to_string(path)
         .with_context(|| format!("{}: cannot read the configuration", path.display()))?;
-    let config: Config = toml::from_str(&text).map_err(|error| {
-        let line = line_of(&text, error.span().map_or(0, |span| span.start));
-        anyhow!("{}:{line}: {}", path.display(), error.message())
-    })?;
+    let config = match over_defaults(&text) {
+        Some(config) => config,
+        // Something is wrong with it: the text itself knows the line.
+        None => toml::from_str(&text).map_err(|error: toml::de::Error| {
+            let line = line_of(&text, error.span().map_or(0, |span| span.start));
+            anyhow!("{}:{line}: {}", path.display(), error.message())
+        })?,
+    };
     config
         .validate()
         .with_context(|| path.display().to_string())?;
     Ok(config)
+}
+
+/// The defaults, with the keys of `text` laid over them, however deep they stand. Serde alone would
+/// fill a table inside a table with that table's own defaults, not with those of the pipeline.
+fn over_defaults(text: &str) -> Option<Config> {
+    let mut config = toml::Table::try_from(Config::default()).ok()?;
+    lay_over(&mut config, text.parse().ok()?);
+    config.try_into().ok()
+}
+
+fn lay_over(below: &mut toml::Table, above: toml::Table) {
+    for (key, value) in above {
+        match (below.get_mut(&key), value) {
+            (Some(toml::Value::Table(below)), toml::Value::Table(above)) => lay_over(below, above),
+            (_, value) => {
+                below.insert(key, value);
+            }
+        }
+    }
 }
 
 /// The line, from 1, that holds byte `at`.
@@ -55,6 +78,21 @@ mod tests {
         let text = write(&config).expect("TOML");
         assert_eq!(parse(&text).expect("valid"), config, "round trip");
         assert_eq!(parse("").expect("valid"), Config::default(), "all defaults");
+    }
+
+    #[test]
+    fn a_key_deep_down_leaves_its_neighbours_alone() {
+        let text = "[crf.kernels]\nsigma_m = 0.3\n[crf.unary.depth]\nmean = 3.0\n\
+                    [labels.noise]\nfloor_m = 0.02\n";
+        let mut expected = Config::default();
+        expected.crf.kernels.sigma_m = 0.3;
+        expected.crf.unary.depth.mean = 3.0;
+        expected.labels.noise.floor_m = 0.02;
+        assert_eq!(parse(text).expect("valid"), expected, "three keys, no more");
+        let mut tail = Config::default();
+        tail.crf.mean_field.method = garad_crf::Method::Reference;
+        let text = "[crf.mean_field]\nmethod = \"reference\"\n";
+        assert_eq!(parse(text).expect("valid"), tail, "a word for a table");
     }
 
     #[test]

@@ -4,10 +4,11 @@
 //! whether it moves. This crate is the facade: it re-exports the stages under one roof and holds
 //! the [`runner`] that takes a recording through them and writes what came out.
 //!
-//! Reading order for the method itself: [`core`] → [`features`] → [`optim`] → [`raster`] →
-//! [`slam`]; `ARCHITECTURE.md` has the map.
+//! Reading order for the method itself: [`core`] → [`features`] → [`optim`] → [`crf`] → [`raster`]
+//! → [`slam`]; `ARCHITECTURE.md` has the map.
 
 pub use garad_core as core;
+pub use garad_crf as crf;
 pub use garad_dataset as dataset;
 pub use garad_eval as eval;
 pub use garad_features as features;

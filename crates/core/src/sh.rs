@@ -118,7 +118,7 @@ pub fn basis_gradient<T: Real>(degree: usize, [x, y, z]: [T; 3]) -> [[T; 3]; MAX
     g
 }
 
-/// Colour seen from a direction: max(0, ½ + Σₖ basisₖ · shₖ) per channel (design section 9).
+/// Colour seen from a direction: max(0, ½ + Σₖ basisₖ · shₖ) per channel.
 ///
 /// `sh` holds `coefficients(degree)` triples (r, g, b), constant term first; `direction` points
 /// from the camera to the Gaussian and has unit length.

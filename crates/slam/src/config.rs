@@ -421,7 +421,7 @@ impl Default for DensifyConfig {
     }
 }
 
-/// Mapping beside tracking, on a schedule of frame numbers (design section 6).
+/// Mapping beside tracking, on a schedule of frame numbers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ScheduleConfig {

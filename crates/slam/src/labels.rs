@@ -1,5 +1,5 @@
 //! What moves: every frame's keypoints and picture, every keyframe's landmarks
-//! (design section 5, points 2 to 4; decision 005).
+//! (paper sec. III-A, III-B; decision 005).
 //!
 //! ```text
 //! first pose ─→ samples of the frame ─→ witnesses: keyframes of the last seconds ─→ depth cue

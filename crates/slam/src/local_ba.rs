@@ -1,5 +1,4 @@
-//! Local bundle adjustment: the newest keyframes and what they see at rest, optimised together
-//! (design section 5, point 1).
+//! Local bundle adjustment: the newest keyframes and what they see at rest, optimised together.
 
 use std::collections::BTreeMap;
 

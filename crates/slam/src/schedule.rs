@@ -1,4 +1,4 @@
-//! Two threads, one answer (design section 6).
+//! Two threads, one answer (decision 006).
 //!
 //! A keyframe at frame f starts a mapping job; the job is handed over when frame f + L begins,
 //! neither sooner nor later. If it is late, tracking waits. How much a job does is a count, never a

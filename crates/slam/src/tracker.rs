@@ -1,4 +1,4 @@
-//! Tracking: from a predicted pose to an optimised one (design section 4, paper eq. 11).
+//! Tracking: from a predicted pose to an optimised one (paper eq. 11).
 //!
 //! | step | input | output |
 //! |---|---|---|

@@ -1,5 +1,5 @@
 //! New Gaussians: one for each new landmark, and a keyframe's depth where the map does not yet
-//! explain the picture (design section 5, point 5).
+//! explain the picture.
 
 use garad_core::{
     Camera, DepthImage, GaussianMap, KeyframeId, MaskImage, NewGaussian, Par, RgbImage, Se3,

@@ -1,5 +1,5 @@
 //! The map learns the pictures: one training iteration, and which keyframe is next
-//! (design section 5, point 6; paper eq. 12, 13, 15, 16).
+//! (paper eq. 12, 13, 15, 16; decision 006).
 //!
 //! ```text
 //! keyframe, level ─→ render (static Gaussians) ─→ loss ─→ backward ─→ Adam ─→ clone, split, prune
