@@ -13,8 +13,7 @@ const SUPPORT: usize = 200;
 
 impl Slam {
     /// Suspects of the frame whose flow from the last frame is that of the static scene become
-    /// static again and may be matched. Their landmarks get their labels at the next keyframe. Returns
-    /// how many.
+    /// static again: keypoint, and landmark if it has one. Returns how many.
     ///
     /// In residual form the predicted flow is what the camera's motion does to a point at the depth
     /// now measured.
@@ -99,4 +98,104 @@ impl Slam {
 #[allow(clippy::cast_possible_truncation, reason = "the tracker works in f32")]
 fn to_f32(p: &Vector2<f64>) -> [f32; 2] {
     [p.x as f32, p.y as f32]
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use garad_core::{FrameId, GrayImage, Rng};
+
+    use super::*;
+    use crate::config::Config;
+    use crate::labels::frame::tests::{frame, is_in, places, slam, wall};
+
+    /// What moves between the two pictures, and how far, px.
+    const PATCH_PX: [[usize; 2]; 2] = [[48, 112], [32, 96]];
+    const SHIFT_PX: usize = 3;
+
+    /// Blots of 3 x 3 pixels.
+    fn texture() -> GrayImage {
+        let mut rng = Rng::new(11);
+        let blots = GrayImage::from_fn(60, 41, |_, _| {
+            40 + u8::try_from(rng.below(170)).expect("u8")
+        });
+        GrayImage::from_fn(160, 120, |x, y| blots[(x / 3, y / 3)])
+    }
+
+    /// A camera at rest: the second picture is the first, but for a patch that moves to the left.
+    /// Suspects are the inner part of the patch and a column of keypoints far from it.
+    fn scene(config: Config) -> (Slam, Frame, LkPyramid, [Vec<usize>; 2]) {
+        let mut slam = slam(config);
+        let first = texture();
+        let second = GrayImage::from_fn(160, 120, |x, y| match is_in(PATCH_PX, x, y) {
+            true => first[(x + SHIFT_PX, y)],
+            false => first[(x, y)],
+        });
+        let pyramid = |image| LkPyramid::new(image, 1).expect("a picture");
+        slam.last = Some(frame(&slam, 20, &wall()));
+        slam.last_pyramid = Some(Arc::new(pyramid(&first)));
+        let mut now = frame(&slam, 21, &wall());
+        let places = places();
+        let within = |area: [[usize; 2]; 2]| {
+            let all = 0..places.len();
+            all.filter(|&i| is_in(area, places[i][0], places[i][1]))
+                .collect()
+        };
+        let moving: Vec<usize> = within([[60, 98], [44, 84]]);
+        let still: Vec<usize> = within([[10, 26], [20, 100]]);
+        let mut label = vec![Label::Static; now.len()];
+        for &i in moving.iter().chain(&still) {
+            label[i] = Label::Dynamic;
+        }
+        let patch: Vec<usize> = within(PATCH_PX);
+        let in_use = (0..now.len()).map(|i| label[i] == Label::Static && !patch.contains(&i));
+        let in_use = in_use.collect();
+        now.set_labels(label, in_use, &slam.camera);
+        (slam, now, pyramid(&second), [moving, still])
+    }
+
+    #[test]
+    fn who_flows_with_the_scene_is_static_again() {
+        let (slam, mut now, pyramid, [moving, still]) = scene(Config::default());
+        assert!(moving.len() >= 20 && still.len() == 20, "suspects");
+        assert_eq!(
+            slam.recover_by_flow(&mut now, &pyramid),
+            still.len(),
+            "some"
+        );
+        for (what, suspects, label) in [
+            ("still", still, Label::Static),
+            ("moving", moving, Label::Dynamic),
+        ] {
+            for i in suspects {
+                let is = (now.label[i], now.in_use[i]);
+                assert_eq!(
+                    is,
+                    (label, label == Label::Static),
+                    "{what}: {:?}",
+                    now.px[i]
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn without_a_picture_of_just_before_suspects_stay() {
+        let (mut slam, now, pyramid, _) = scene(Config::default());
+        let recovered = |slam: &Slam| slam.recover_by_flow(&mut now.clone(), &pyramid);
+        assert_eq!(recovered(&slam), 20, "as it should be");
+        slam.config.flow.enabled = false;
+        assert_eq!(recovered(&slam), 0, "switched off");
+        slam.config.flow.enabled = true;
+        slam.config.flow.min_support = 1000;
+        assert_eq!(recovered(&slam), 0, "too few to make a model of");
+        slam.config.flow.min_support = 10;
+        if let Some(last) = &mut slam.last {
+            last.id = FrameId(19);
+        }
+        assert_eq!(recovered(&slam), 0, "a frame is missing in between");
+        slam.last_pyramid = None;
+        assert_eq!(recovered(&slam), 0, "no picture");
+    }
 }

@@ -293,3 +293,250 @@ fn label_at(cells: &MaskImage, px: &Vector2<f64>) -> Label {
         _ => Label::Static,
     }
 }
+
+#[cfg(test)]
+pub(super) mod tests {
+    use garad_core::{KeyframeId, Par, Se3};
+    use garad_features::{Descriptor, Keypoint};
+
+    use super::*;
+    use crate::config::Config;
+    use crate::frame::Levels;
+    use crate::labels::witness::Witness;
+
+    /// Everything here stands in front of a wall so far away, metres, or is it.
+    const WALL_M: f32 = 3.0;
+
+    /// A camera of 160 x 120 pixels at the origin.
+    pub(in crate::labels) fn slam(config: Config) -> Slam {
+        let camera = Camera::pinhole((160, 120), [120.0, 120.0, 79.5, 59.5]).expect("valid");
+        Slam::new(camera, config, 0, Par::Seq).expect("valid")
+    }
+
+    pub(in crate::labels) fn wall() -> DepthImage {
+        DepthImage::new(160, 120, WALL_M)
+    }
+
+    /// A box half way to the wall that covers these columns and rows.
+    pub(in crate::labels) fn wall_behind(box_px: [[usize; 2]; 2]) -> DepthImage {
+        DepthImage::from_fn(160, 120, |x, y| match is_in(box_px, x, y) {
+            true => 0.5 * WALL_M,
+            false => WALL_M,
+        })
+    }
+
+    pub(in crate::labels) fn is_in(
+        [[x0, x1], [y0, y1]]: [[usize; 2]; 2],
+        x: usize,
+        y: usize,
+    ) -> bool {
+        (x0..x1).contains(&x) && (y0..y1).contains(&y)
+    }
+
+    /// Every 8th pixel each way: 20 columns of 15 keypoints.
+    pub(in crate::labels) fn places() -> Vec<[usize; 2]> {
+        let columns = (4..160).step_by(8);
+        columns
+            .flat_map(|x| (4..120).step_by(8).map(move |y| [x, y]))
+            .collect()
+    }
+
+    /// A picture with a keypoint at each of [`places`].
+    pub(in crate::labels) fn frame(slam: &Slam, id: u32, depth: &DepthImage) -> Frame {
+        let keypoints: Vec<Keypoint> = places()
+            .into_iter()
+            .map(|[x, y]| Keypoint {
+                x: x as f32,
+                y: y as f32,
+                level: 0,
+                angle_deg: 0.0,
+                response: 1.0,
+            })
+            .collect();
+        Frame::new(
+            FrameId(id),
+            f64::from(id) / 30.0,
+            keypoints,
+            vec![Descriptor::default(); places().len()],
+            depth,
+            None,
+            &slam.camera,
+            &Levels::new((160, 120), 1.2, 8, true),
+            &slam.config,
+        )
+    }
+
+    /// Makes the frame a keyframe and its depth a witness.
+    pub(in crate::labels) fn keep(slam: &mut Slam, frame: Frame, depth: &DepthImage) -> KeyframeId {
+        let id = slam.map.add_keyframe(frame);
+        slam.witnesses.insert(id, Witness::new(depth, 8.0));
+        id
+    }
+
+    /// Has kept frames 0, 20 and 40, all of this.
+    fn slam_that_saw(depth: &DepthImage, config: Config) -> Slam {
+        let mut slam = slam(config);
+        for id in [0, 20, 40] {
+            let seen = frame(&slam, id, depth);
+            keep(&mut slam, seen, depth);
+        }
+        slam
+    }
+
+    fn moving_share(cells: &MaskImage) -> f64 {
+        let moving = cells.data().iter().filter(|c| **c == MOVING).count();
+        moving as f64 / cells.data().len() as f64
+    }
+
+    #[test]
+    fn what_has_come_moves_to_the_cell() {
+        let slam = slam_that_saw(&wall(), Config::default());
+        let box_px = [[48, 112], [32, 96]];
+        let depth = wall_behind(box_px);
+        let mut now = frame(&slam, 60, &depth);
+        let cells = slam.label_frame(&mut now, &depth).expect("labelled");
+        let expected = MaskImage::from_fn(40, 30, |x, y| {
+            if is_in(box_px, 4 * x, 4 * y) {
+                MOVING
+            } else {
+                0
+            }
+        });
+        assert_eq!(cells, expected, "the box and nothing else");
+        let near = [[40, 120], [24, 104]];
+        for (i, [x, y]) in places().into_iter().enumerate() {
+            let label = match is_in(box_px, x, y) {
+                true => Label::Dynamic,
+                false => Label::Static,
+            };
+            assert_eq!(now.label[i], label, "({x}, {y})");
+            let in_use = !is_in(near, x, y);
+            assert_eq!(now.in_use[i], in_use, "({x}, {y}), 8 px around the box");
+        }
+        let full = full_size(&cells, (160, 120));
+        let same = |x, y| (full[(x, y)] == MOVING) == is_in(box_px, x, y);
+        assert!(places().iter().all(|&[x, y]| same(x, y)), "full size");
+    }
+
+    /// What a thing uncovers as it goes was hidden until now: nobody says anything against it.
+    #[test]
+    fn what_is_uncovered_does_not_move() {
+        let slam = slam_that_saw(&wall_behind([[48, 112], [32, 96]]), Config::default());
+        let mut now = frame(&slam, 60, &wall());
+        let cells = slam.label_frame(&mut now, &wall()).expect("labelled");
+        assert!(moving_share(&cells) <= 0.0, "an empty wall");
+        assert!(now.in_use.iter().all(|u| *u), "all of it in use");
+    }
+
+    #[test]
+    fn nothing_is_said_before_the_bootstrap_or_without_a_witness() {
+        let mut slam = slam(Config::default());
+        let mut early = frame(&slam, 9, &wall());
+        assert!(slam.label_frame(&mut early, &wall()).is_none(), "frame 9");
+        let mut alone = frame(&slam, 10, &wall());
+        assert!(
+            slam.label_frame(&mut alone, &wall()).is_none(),
+            "no witness"
+        );
+        keep(&mut slam, early.clone(), &wall());
+        assert!(slam.label_frame(&mut early, &wall()).is_none(), "frame 9");
+        assert!(slam.label_frame(&mut alone, &wall()).is_some(), "frame 10");
+    }
+
+    #[test]
+    fn a_witness_is_asked_for_so_many_frames() {
+        let slam = slam_that_saw(&wall(), Config::default());
+        let depth = wall_behind([[48, 112], [32, 96]]);
+        for (id, asked) in [(130, true), (131, false)] {
+            let mut now = frame(&slam, id, &depth);
+            let cells = slam.label_frame(&mut now, &depth).expect("labelled");
+            assert_eq!(moving_share(&cells) > 0.0, asked, "frame {id}: 40 + 90");
+        }
+    }
+
+    /// Of the ten columns of samples, nine may be suspects (`max_moving` = 0.9), not ten.
+    #[test]
+    fn nearly_everything_moving_is_a_wrong_pose() {
+        let mut config = Config::default();
+        let mut slam = slam_that_saw(&wall(), config.clone());
+        let mut nine = wall_behind([[0, 144], [0, 120]]);
+        let mut now = frame(&slam, 60, &nine);
+        let labelled = slam.label_frame(&mut now, &nine);
+        assert!(
+            moving_share(&labelled.expect("nine of ten")) > 0.85,
+            "nearly all"
+        );
+
+        nine = wall_behind([[0, 160], [0, 120]]);
+        now = frame(&slam, 60, &nine);
+        assert!(slam.label_frame(&mut now, &nine).is_none(), "ten of ten");
+        assert!(now.label.iter().all(|l| *l == Label::Static), "no label");
+        assert!(now.in_use.iter().all(|u| *u), "none put aside");
+
+        // The same wall, but the pose is a metre off: everything floats in front of it.
+        let step = Se3::exp(&[0.0, 0.0, 1.0, 0.0, 0.0, 0.0].into());
+        let mut lost = frame(&slam, 60, &wall());
+        lost.camera_from_world = step;
+        assert!(
+            slam.label_frame(&mut lost, &wall()).is_none(),
+            "a metre off"
+        );
+        lost.camera_from_world = Se3::identity();
+        let right = slam.label_frame(&mut lost, &wall()).expect("right pose");
+        assert!(moving_share(&right) <= 0.0, "the wall");
+
+        config.labels.max_moving = 1.0;
+        slam = slam_that_saw(&wall(), config);
+        lost.camera_from_world = step;
+        let cells = slam.label_frame(&mut lost, &wall()).expect("no guard");
+        // What lies within the old picture: (2/3)² of it.
+        assert!(moving_share(&cells) > 0.4, "{}", moving_share(&cells));
+    }
+
+    #[test]
+    fn trust_grows_with_the_age_of_the_agreement() {
+        let slam = slam(Config::default());
+        let odds = |residual, agreed_for| {
+            slam.log_odds(&Verdict {
+                residual,
+                agreed_for,
+            })
+        };
+        let unknown = Real::ln(0.45f64 / 0.55);
+        assert!((odds(None, 0) - unknown).abs() < 1e-12, "a coin, nearly");
+        let ages = [0, 15, 30, 45].map(|age| odds(Some(0.0), age));
+        assert!(ages.is_sorted_by(|a, b| a > b), "older, surer: {ages:?}");
+        assert!((odds(Some(0.0), 90) - ages[3]).abs() < 1e-15, "settled");
+        assert!(ages[3] < 0.0, "settled is static");
+        // Up to 2 σ is as good as none; the likelihood falls with σ = 1.5 from there.
+        let residuals = [2.0, 3.5, 5.0, 9.0].map(|r| odds(Some(r), 45));
+        assert!((residuals[0] - ages[3]).abs() < 1e-15, "{residuals:?}");
+        let p = 0.97 * Real::exp(-0.5f64);
+        assert!(
+            (residuals[1] - Real::ln((1.0 - p) / p)).abs() < 1e-12,
+            "{residuals:?}"
+        );
+        assert!(residuals.is_sorted_by(|a, b| a < b), "{residuals:?}");
+        assert!(residuals[1] < 0.0 && residuals[2] > 0.0, "{residuals:?}");
+        assert!(odds(Some(1e9), 0).is_finite(), "clamped");
+    }
+
+    #[test]
+    fn samples_look_beside_a_hole() {
+        let slam = slam(Config::default());
+        let mut depth = wall();
+        for (x, y) in [(8, 8), (9, 8), (7, 8), (8, 9)] {
+            depth[(x, y)] = 0.0;
+        }
+        for y in 0..16 {
+            depth.row_mut(y)[16..48].fill(0.0);
+        }
+        depth[(40, 8)] = 8.5;
+        let samples = slam.lattice.samples(&depth, 8.0);
+        assert_eq!(samples.len(), 80, "10 x 8");
+        assert_eq!(samples[0], Some(([8, 7], 3.0)), "above the hole");
+        assert_eq!(samples[1], None, "nothing in reach");
+        assert_eq!(samples[2], None, "too far");
+        assert_eq!(samples[3], Some(([56, 8], 3.0)), "the middle of its block");
+    }
+}
