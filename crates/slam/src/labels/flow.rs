@@ -13,7 +13,8 @@ const SUPPORT: usize = 200;
 
 impl Slam {
     /// Suspects of the frame whose flow from the last frame is that of the static scene become
-    /// static again: keypoint, and landmark if it has one. Returns how many.
+    /// static again and may be matched. Their landmarks get their labels at the next keyframe. Returns
+    /// how many.
     ///
     /// In residual form the predicted flow is what the camera's motion does to a point at the depth
     /// now measured.
