@@ -10,6 +10,8 @@ use garad_features::flow::{FlowConfig, FlowEstimator, FlowForm};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+pub use crate::loop_closing::LoopConfig;
+
 /// The whole configuration; a TOML table per field.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -24,6 +26,8 @@ pub struct Config {
     pub refine: RefineConfig,
     /// Local bundle adjustment.
     pub local_ba: LocalBaConfig,
+    /// Places seen again.
+    pub loops: LoopConfig,
     /// Gaussians from depth.
     pub seed: SeedConfig,
     /// Training of the map.
@@ -49,6 +53,7 @@ impl Default for Config {
             keyframes: KeyframeConfig::default(),
             refine: RefineConfig::default(),
             local_ba: LocalBaConfig::default(),
+            loops: LoopConfig::default(),
             seed: SeedConfig::default(),
             train: TrainConfig::default(),
             densify: DensifyConfig::default(),
@@ -678,6 +683,11 @@ impl Config {
              self.flow.covariance_floor_px2 >= 0.0 && self.flow.covariance_floor_px2.is_finite(), "0 or a positive number"),
             ("flow.min_support", self.flow.min_support as f64, self.flow.min_support >= 3, "at least 3"),
             ("flow.chi2", self.flow.chi2, inside(0.0, self.flow.chi2, f64::INFINITY), positive),
+            ("loops.max_drift", self.loops.max_drift, inside(0.0, self.loops.max_drift, f64::INFINITY), positive),
+            ("loops.max_drift_floor_m", self.loops.max_drift_floor_m,
+             inside(0.0, self.loops.max_drift_floor_m, f64::INFINITY), positive),
+            ("loops.in_a_row", self.loops.in_a_row as f64, self.loops.in_a_row > 0, "at least 1"),
+            ("loops.min_inliers", self.loops.min_inliers as f64, self.loops.min_inliers >= 3, "at least 3"),
             ("keyframes.max_gap", self.keyframes.max_gap as f64, self.keyframes.max_gap > 0, "at least 1"),
             ("seed.stride_px", s.stride_px as f64, s.stride_px > 0, "at least 1"),
             ("seed.footprint", s.footprint, inside(0.0, s.footprint, f64::INFINITY), positive),

@@ -161,7 +161,8 @@ fn fuse_with_neighbours(map: &mut Map, id: KeyframeId, camera: &Camera, scales: 
     fuse_into(map, &theirs, id, camera, scales, bf);
 }
 
-fn fuse_into(
+/// Fuses landmarks with what a keyframe sees where they should be, or links them there.
+pub(crate) fn fuse_into(
     map: &mut Map,
     landmarks: &[LandmarkId],
     keyframe: KeyframeId,

@@ -9,7 +9,7 @@
 //! [`frame`] (features, ideal pixels, depth at keypoints) → [`matching`] (landmarks found again)
 //! → [`tracker`] (prediction, pose, local map, state) → [`refine`] (matches sharpened) →
 //! [`keyframes`] (when to keep a frame, what it adds, what is thrown out) → [`local_ba`] (poses and
-//! landmarks together) → [`schedule`] (mapping beside tracking) → [`mapper`] (Gaussians where the
+//! landmarks together) → [`loop_closing`] (a place seen again) → [`schedule`] (mapping beside tracking) → [`mapper`] (Gaussians where the
 //! picture is not yet explained; the map learns the pictures). [`recover`] finds a lost camera
 //! again.
 
@@ -18,6 +18,7 @@ pub mod frame;
 pub mod keyframes;
 pub mod labels;
 pub mod local_ba;
+pub mod loop_closing;
 pub mod map;
 pub mod mapper;
 pub mod mask;
@@ -30,6 +31,7 @@ pub mod system;
 pub mod tracker;
 
 pub use config::{Config, ConfigError};
+pub use loop_closing::{LoopClosure, LoopConfig};
 pub use observer::{Observer, Silent, Stage};
 pub use system::{FrameInput, FrameReport, Slam, SlamError};
 pub use tracker::TrackingState;

@@ -37,11 +37,23 @@ impl Slam {
             .into_iter()
             .take(config.max_fixed)
             .collect();
+        let iterations = config.iterations;
+        self.adjust(&free, &fixed, &landmarks, iterations);
+    }
+
+    /// Optimises free keyframes and landmarks over all observations by these and the fixed ones.
+    /// Observations that disagree afterwards are erased. Nothing happens unless there is one of each.
+    pub(crate) fn adjust(
+        &mut self,
+        free: &[KeyframeId],
+        fixed: &[KeyframeId],
+        landmarks: &[LandmarkId],
+        iterations: usize,
+    ) {
         if free.is_empty() || fixed.is_empty() || landmarks.is_empty() {
             return;
         }
-
-        let keyframes: Vec<KeyframeId> = free.iter().chain(&fixed).copied().collect();
+        let keyframes: Vec<KeyframeId> = free.iter().chain(fixed).copied().collect();
         let pose_of: BTreeMap<KeyframeId, usize> =
             keyframes.iter().enumerate().map(|(i, k)| (*k, i)).collect();
         let mut poses: Vec<_> = keyframes
@@ -52,7 +64,7 @@ impl Slam {
         let mut points = Vec::new();
         let mut observations = Vec::new();
         let mut sources = Vec::new();
-        for id in &landmarks {
+        for id in landmarks {
             let Some(landmark) = self.map.landmark(*id) else {
                 continue;
             };
@@ -73,7 +85,7 @@ impl Slam {
             points.push(landmark.p_world);
         }
         let bundle = BundleConfig {
-            iterations: config.iterations,
+            iterations,
             ..BundleConfig::default()
         };
         let result = optimise_bundle(
@@ -102,7 +114,7 @@ impl Slam {
             }
         }
         for id in landmarks {
-            self.map.refresh(id, &self.scales);
+            self.map.refresh(*id, &self.scales);
         }
     }
 }

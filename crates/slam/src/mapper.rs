@@ -6,10 +6,11 @@
 //! decides both.
 //!
 //! ```text
-//! MappingJob ─→ relabel ─→ insert (landmarks, depth) ─→ train × n ─→ MappingDone
+//! MappingJob ─→ follow a closed loop ─→ relabel ─→ insert (landmarks, depth) ─→ train × n ─→ MappingDone
 //! ```
 
 pub mod densify;
+pub mod follow;
 pub mod insert;
 pub mod relabel;
 pub mod train;
@@ -49,6 +50,9 @@ pub struct MappingJob {
     pub labels: Vec<(LandmarkId, Label)>,
     /// camera_from_world of every keyframe so far, as adjusted.
     pub poses: Vec<Se3>,
+    /// If a loop was closed at this keyframe: what it did to every keyframe so far,
+    /// after_from_before in the world.
+    pub moved: Vec<Se3>,
     /// What the keyframe made.
     pub new_landmarks: Vec<NewLandmark>,
     /// Training iterations.
@@ -125,6 +129,7 @@ impl Mapper {
     /// Inserts what the keyframe shows anew, and trains.
     pub fn run(&mut self, job: MappingJob, observer: &mut dyn Observer) -> MappingDone {
         self.poses = job.poses.clone();
+        follow::follow(&mut self.gaussians, &job.moved);
         observer.begin(Stage::Relabel);
         let relabelled = self.relabel(&job);
         observer.end(Stage::Relabel);

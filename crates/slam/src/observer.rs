@@ -19,6 +19,8 @@ pub enum Stage {
     LabelMap,
     /// Local bundle adjustment.
     LocalBa,
+    /// Places seen again, and what is corrected then.
+    Loop,
     /// Tracking waits for a mapping job that is due (one thread: the job itself).
     Handover,
     /// Gaussians labelled by a keyframe.
@@ -42,6 +44,7 @@ impl Stage {
             Self::Keyframe => "keyframe",
             Self::LabelMap => "label_map",
             Self::LocalBa => "local_ba",
+            Self::Loop => "loop",
             Self::Handover => "handover",
             Self::Relabel => "relabel",
             Self::Insert => "insert",

@@ -1,19 +1,29 @@
-//! A lost camera found again: the frame against keyframes, the youngest first.
+//! A lost camera found again: the frame against the keyframes that look most like it.
 //!
-//! Descriptors give pairs (landmark in the world, keypoint with depth in the camera); three pairs
-//! give a rigid motion in closed form; a seeded RANSAC keeps the motion most pairs agree with, and
-//! the usual optimisation finishes it.
+//! ```text
+//! descriptors ─→ place index ─→ candidates ─→ matches ─→ rigid motion, or PnP ─→ pose (eq. 11)
+//!                                                                                 │
+//!                         enough inliers? ←─ pose (eq. 11) ←─ landmarks around the candidate
+//! ```
+//!
+//! Matches are pairs of a landmark in the world and a keypoint in the camera. Where keypoints have
+//! depth, three pairs give a rigid motion in closed form; a seeded RANSAC keeps the motion most pairs
+//! agree with. Without enough depth the same is done with directions alone
+//! ([`solve_pnp_ransac`]).
 
-use garad_core::{Rng, Se3, So3};
+use garad_core::{KeyframeId, LandmarkId, Rng, Se3, So3};
+use garad_features::Descriptor;
+use garad_optim::{PnpConfig, PoseConfig, solve_pnp_ransac};
 use nalgebra::{Matrix3, Vector3};
 
 use crate::frame::Frame;
+use crate::map::by_count;
 use crate::system::Slam;
 
-/// Keyframes tried for each frame: the youngest, and a window that moves on through all the others
-/// from frame to frame, so that a large map costs no more than a small one.
-const YOUNGEST: usize = 10;
-const WINDOW: usize = 20;
+/// Keyframes tried for each frame, so that a large map costs no more than a small one.
+const CANDIDATES: usize = 10;
+/// Neighbours of a candidate whose landmarks are looked for, too.
+const NEIGHBOURS: usize = 10;
 
 /// Draws of three pairs: with half the pairs wrong, 100 draws miss all good triples once in 6e5.
 const DRAWS: usize = 100;
@@ -57,38 +67,119 @@ pub fn rigid_from_pairs(pairs: &[(Vector3<f64>, Vector3<f64>)]) -> Option<Se3> {
     Some(Se3::new(rotation, mean_a - rotation * mean_b))
 }
 
-/// Which of `n` keyframes to try at a frame, in order.
-fn candidates(n: usize, frame: usize) -> Vec<usize> {
-    let youngest = (n.saturating_sub(YOUNGEST)..n).rev();
-    let others = n.saturating_sub(YOUNGEST);
-    let window = (0..others.min(WINDOW)).map(|i| (frame * WINDOW + i) % others);
-    youngest.chain(window).collect()
+/// Descriptors of what stands still in a frame: what a place is known by.
+pub(crate) fn still_descriptors(frame: &Frame) -> Vec<Descriptor> {
+    let still = frame.descriptors.iter().zip(&frame.in_use);
+    still
+        .filter(|(_, in_use)| **in_use)
+        .map(|(d, _)| *d)
+        .collect()
 }
 
 impl Slam {
     /// Looks for the frame among the keyframes; true when enough of one's landmarks agree.
+    ///
+    /// The first candidate around which the local map will be found is taken, else the one with most
+    /// inliers: tracking decides.
     pub(crate) fn recover(&self, frame: &mut Frame) -> bool {
-        let needed = self.config.tracking.reference_min_matches;
-        let keyframes = self.map.keyframes();
-        for k in candidates(keyframes.len(), frame.id.index()) {
-            frame.landmark.fill(None);
-            if self
-                .matcher()
-                .from_keyframe(&self.map, &keyframes[k], frame)
-                < needed
+        let config = &self.config.tracking;
+        let candidates = self
+            .places
+            .query(&still_descriptors(frame), CANDIDATES, |_| false);
+        let mut best: Option<(usize, Frame)> = None;
+        for candidate in candidates {
+            let mut tried = frame.clone();
+            let inliers = self.locate(&mut tried, candidate.id);
+            if inliers >= config.reference_min_matches
+                && best.as_ref().is_none_or(|(most, _)| inliers > *most)
             {
-                continue;
+                best = Some((inliers, tried));
             }
-            let Some(pose) = self.ransac(frame, needed) else {
-                continue;
-            };
-            frame.camera_from_world = pose;
-            if self.optimise(frame) >= needed {
-                return true;
+            if inliers >= config.min_inliers_after_recovery {
+                break;
             }
         }
+        match best {
+            Some((_, found)) => {
+                *frame = found;
+                true
+            }
+            None => {
+                frame.landmark.fill(None);
+                false
+            }
+        }
+    }
+
+    /// Finds a frame's pose from nothing but the landmarks of a keyframe and its neighbours, and
+    /// links them. Returns the number of inliers; 0: not there.
+    pub(crate) fn locate(&self, frame: &mut Frame, candidate: KeyframeId) -> usize {
+        let needed = self.config.tracking.reference_min_matches;
         frame.landmark.fill(None);
-        false
+        let keyframe = self.map.keyframe(candidate);
+        if self.matcher().from_keyframe(&self.map, keyframe, frame) < needed {
+            return 0;
+        }
+        let Some(pose) = self
+            .ransac(frame, needed)
+            .or_else(|| self.pnp(frame, candidate, needed))
+        else {
+            return 0;
+        };
+        frame.camera_from_world = pose;
+        if self.optimise(frame) < needed {
+            return 0;
+        }
+        let around = self.landmarks_around(candidate);
+        let linked: Vec<_> = frame.landmark.iter().flatten().copied().collect();
+        let visible: Vec<_> = around
+            .into_iter()
+            .filter(|id| !linked.contains(id))
+            .filter_map(|id| {
+                let landmark = self.map.static_landmark(id)?;
+                let (camera, scales) = (&self.camera, &self.scales);
+                Some((id, self.map.appearance(landmark, frame, camera, scales)?))
+            })
+            .collect();
+        self.matcher().from_local_map(&self.map, &visible, frame);
+        self.optimise(frame)
+    }
+
+    /// What a keyframe and its nearest neighbours see, by id.
+    pub(crate) fn landmarks_around(&self, keyframe: KeyframeId) -> Vec<LandmarkId> {
+        let neighbours = by_count(&self.map.covisible(keyframe));
+        let mut ids: Vec<LandmarkId> = neighbours
+            .into_iter()
+            .take(NEIGHBOURS)
+            .chain([keyframe])
+            .flat_map(|k| self.map.keyframe(k).landmark.iter().flatten().copied())
+            .collect();
+        ids.sort_unstable();
+        ids.dedup();
+        ids
+    }
+
+    /// camera_from_world from all linked keypoints, whether they have depth or not.
+    fn pnp(&self, frame: &Frame, candidate: KeyframeId, needed: usize) -> Option<Se3> {
+        let observations: Vec<_> = (0..frame.len())
+            .filter_map(|i| {
+                let p_world = self.map.static_landmark(frame.landmark[i]?)?.p_world;
+                Some(self.observation(frame, i, p_world))
+            })
+            .collect();
+        let key = [u64::from(frame.id.0), u64::from(candidate.0)];
+        let config = PnpConfig {
+            min_inliers: needed,
+            seed: Rng::keyed(self.seed, &key).next_u64(),
+            pose: PoseConfig {
+                bf: self.config.tracking.bf,
+                ..PoseConfig::default()
+            },
+            ..PnpConfig::default()
+        };
+        let found = solve_pnp_ransac(&self.camera, &observations, &config, self.par);
+        // The observations come from a valid frame and map, so the answer is never an error.
+        Some(found.ok()??.camera_from_world)
     }
 
     /// camera_from_world that most linked keypoints with depth agree with, if at least `needed` do.
@@ -137,29 +228,6 @@ impl Slam {
 mod tests {
     use super::*;
     use nalgebra::Vector6;
-
-    #[test]
-    fn every_keyframe_gets_its_turn() {
-        assert_eq!(
-            candidates(3, 7),
-            [2, 1, 0],
-            "few: all of them, youngest first"
-        );
-        assert!(candidates(0, 7).is_empty(), "none");
-        let mut tried: Vec<_> = (5..10).flat_map(|frame| candidates(100, frame)).collect();
-        tried.sort_unstable();
-        tried.dedup();
-        assert_eq!(
-            tried,
-            (0..100).collect::<Vec<_>>(),
-            "five frames go through a hundred"
-        );
-        assert_eq!(
-            candidates(100, 5).len(),
-            YOUNGEST + WINDOW,
-            "a frame tries no more"
-        );
-    }
 
     #[test]
     fn closed_form_gives_the_motion_back() {

@@ -219,6 +219,7 @@ mod tests {
             mask: None,
             cells: None,
             labels: Vec::new(),
+            moved: Vec::new(),
             poses: vec![Se3::identity(); keyframe as usize + 1],
             new_landmarks: Vec::new(),
             iterations: 2,

@@ -8,17 +8,19 @@ use garad_core::{
     MaskImage, Par, RgbImage, Se3, StampedPose,
 };
 use garad_crf::Crf;
-use garad_features::{FeatureError, LkPyramid, OrbConfig, OrbExtractor};
+use garad_features::{FeatureError, LkPyramid, OrbConfig, OrbExtractor, PlaceConfig, PlaceIndex};
 use thiserror::Error;
 
 use crate::config::{Config, ConfigError};
 use crate::frame::{Frame, Levels};
 use crate::labels::frame::{FrameLabels, Lattice, full_size};
 use crate::labels::witness::Witness;
+use crate::loop_closing::{LoopCloser, LoopClosure};
 use crate::map::Map;
 use crate::mapper::train::{TrainError, TrainStep};
 use crate::mapper::{Mapper, MappingDone, MappingJob, NewLandmark};
 use crate::observer::{Observer, Stage};
+use crate::recover::still_descriptors;
 use crate::schedule::{MappingObserver, Schedule};
 use crate::tracker::TrackingState;
 
@@ -117,6 +119,9 @@ pub struct Slam {
     pub(crate) reference: KeyframeId,
     pub(crate) last_keyframe_frame: FrameId,
     pub(crate) recent: Vec<LandmarkId>,
+    /// Keyframes by what they look like.
+    pub(crate) places: PlaceIndex,
+    pub(crate) loops: LoopCloser,
     extractor: OrbExtractor,
     levels: Levels,
     /// Pictures of the youngest keyframes, for refinement.
@@ -174,6 +179,11 @@ impl Slam {
             frame: FrameId(0),
             source,
         })?;
+        let places = PlaceIndex::new(PlaceConfig::default(), seed);
+        let places = places.map_err(|source| SlamError::Features {
+            frame: FrameId(0),
+            source,
+        })?;
         let lattice = Lattice::new(&camera, config.labels.step_px);
         let crf = Crf::new(config.crf.clone()).map_err(ConfigError::from)?;
         let mapper = Mapper::new(&camera, &config, seed, par)?;
@@ -190,6 +200,8 @@ impl Slam {
             reference: KeyframeId(0),
             last_keyframe_frame: FrameId(0),
             recent: Vec::new(),
+            places,
+            loops: LoopCloser::default(),
             extractor,
             levels,
             pyramids: BTreeMap::new(),
@@ -380,7 +392,7 @@ impl Slam {
         Ok(true)
     }
 
-    fn keyframe_poses(&self) -> Vec<Se3> {
+    pub(crate) fn keyframe_poses(&self) -> Vec<Se3> {
         self.map
             .keyframes()
             .iter()
@@ -405,6 +417,12 @@ impl Slam {
     #[must_use]
     pub fn mapped(&self) -> &[MappingDone] {
         &self.mapped
+    }
+
+    /// The loops that were closed, oldest first.
+    #[must_use]
+    pub fn loops(&self) -> &[LoopClosure] {
+        self.loops.closed()
     }
 
     /// The last tracked frame, with the landmarks its keypoints were linked to.
@@ -572,6 +590,14 @@ impl Slam {
             self.local_ba(id);
             observer.end(Stage::LocalBa);
         }
+        let mut moved = Vec::new();
+        if self.config.loops.enabled {
+            observer.begin(Stage::Loop);
+            moved = self.close_loop(id);
+            observer.end(Stage::Loop);
+        }
+        self.places
+            .add(id, &still_descriptors(self.map.keyframe(id)));
         if self.config.seed.enabled {
             let train = &self.config.train;
             let job = MappingJob {
@@ -583,6 +609,7 @@ impl Slam {
                 cells: cells_of_job,
                 labels,
                 poses: self.keyframe_poses(),
+                moved,
                 new_landmarks: self.landmarks_born_in(id),
                 iterations: train.per_keyframe + train.per_frame * since_last,
             };

@@ -1,0 +1,473 @@
+//! A place seen again: the path pulled together (decision 007).
+//!
+//! Tracking measures every keyframe against its neighbours, and small errors add up. When the camera
+//! comes back to where it was long ago, the same things are seen twice at slightly different places
+//! of the world.
+//!
+//! | step | question | answer |
+//! |---|---|---|
+//! | `suspects` | which older keyframes look like this one? | place index, no neighbours, several keyframes in a row |
+//! | `locate` | where is the camera, seen from there? | matches, rigid motion, local map |
+//! | `is_plausible` | can the path have drifted so far? | share of the way gone |
+//! | `pull_together` | how does the error spread over the path? | pose graph |
+//! | `join` | which landmarks are the same? | links of `locate`, search around them |
+//! | bundle | what fits all observations best? | every keyframe and landmark |
+//!
+//! Landmarks follow the keyframe they were born in, and so do Gaussians, at the mapper's next job.
+//!
+//! Source: the order of steps is ORB-SLAM's (Mur-Artal, Montiel, Tardós 2015); with depth the scale
+//! is known, so motions are rigid.
+
+use std::collections::BTreeSet;
+
+use garad_core::{KeyframeId, LandmarkId, Se3};
+use garad_optim::{PoseEdge, PoseGraph, PoseGraphConfig};
+use nalgebra::{Matrix6, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
+
+use crate::frame::Frame;
+use crate::keyframes::fuse_into;
+use crate::map::{Map, by_count};
+use crate::recover::still_descriptors;
+use crate::system::Slam;
+
+/// When a place counts as seen again, and what follows.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LoopConfig {
+    /// Off: the path is never pulled together.
+    pub enabled: bool,
+    /// Keyframes younger than so many are no other end of a loop, and so many pass between two.
+    pub min_gap: u32,
+    /// Two keyframes that share so many landmarks are neighbours.
+    pub neighbour_landmarks: usize,
+    /// Keyframes in a row that must look like one place.
+    pub in_a_row: usize,
+    /// Older keyframes looked at for each new one.
+    pub candidates: usize,
+    /// Landmarks of the place that must agree with one pose of the new keyframe.
+    pub min_inliers: usize,
+    /// Drift that is believed: a share of the way gone since, ...
+    pub max_drift: f64,
+    /// ... and so much in any case, metres.
+    pub max_drift_floor_m: f64,
+    /// Iterations of the bundle of everything afterwards; 0: none.
+    pub bundle_iterations: usize,
+}
+
+impl Default for LoopConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            min_gap: 10,
+            neighbour_landmarks: 15,
+            in_a_row: 3,
+            candidates: 10,
+            min_inliers: 40,
+            max_drift: 0.05,
+            max_drift_floor_m: 0.2,
+            bundle_iterations: 10,
+        }
+    }
+}
+
+/// A loop that was closed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LoopClosure {
+    /// The keyframe at which.
+    pub keyframe: KeyframeId,
+    /// The older keyframe that shows the same place.
+    pub older: KeyframeId,
+    /// Landmarks around the older one that agree with one pose of the keyframe.
+    pub inliers: usize,
+    /// How far the keyframe was from there, metres.
+    pub drift_m: f64,
+}
+
+/// What loop closing remembers from keyframe to keyframe.
+#[derive(Debug, Default)]
+pub(crate) struct LoopCloser {
+    /// Places the last keyframe looked like, and how many in a row did.
+    streaks: Vec<(BTreeSet<KeyframeId>, usize)>,
+    closed: Vec<LoopClosure>,
+}
+
+impl LoopCloser {
+    pub(crate) fn closed(&self) -> &[LoopClosure] {
+        &self.closed
+    }
+
+    /// Continues the streaks with the places that a keyframe looks like, each a set of neighbours.
+    /// Returns the length of each: 1 for a place that shares no keyframe with one of before.
+    fn continue_streaks(&mut self, places: Vec<BTreeSet<KeyframeId>>) -> Vec<usize> {
+        let before = std::mem::take(&mut self.streaks);
+        for place in places {
+            let same = before.iter().filter(|(b, _)| !b.is_disjoint(&place));
+            let length = 1 + same.map(|(_, length)| *length).max().unwrap_or(0);
+            self.streaks.push((place, length));
+        }
+        self.streaks.iter().map(|(_, length)| *length).collect()
+    }
+}
+
+/// Distance at which a landmark is typically seen: an error of 1 rad moves it as far as one of so
+/// many metres does.
+const TYPICAL_DEPTH_M: f64 = 2.5;
+/// Landmarks two keyframes share from which they get an edge of their own in the pose graph.
+const EDGE_LANDMARKS: usize = 50;
+/// Neighbours of the keyframe into which the landmarks of the place are projected.
+const JOIN_NEIGHBOURS: usize = 10;
+
+impl Slam {
+    /// Closes a loop at a new keyframe, if there is one. Returns after_from_before, in the world, of
+    /// every keyframe; nothing if there was no loop.
+    pub(crate) fn close_loop(&mut self, id: KeyframeId) -> Vec<Se3> {
+        for older in self.suspects(id) {
+            let mut seen = self.map.keyframe(id).clone();
+            // As detected: the sharpened σ holds against the pictures of its own time.
+            for (sigma, keypoint) in seen.sigma_px.iter_mut().zip(&seen.keypoints) {
+                *sigma = self.scales[usize::from(keypoint.level)];
+            }
+            let inliers = self.locate(&mut seen, older);
+            if inliers < self.config.loops.min_inliers || !self.is_plausible(id, older, &seen) {
+                continue;
+            }
+            let closure = LoopClosure {
+                keyframe: id,
+                older,
+                inliers,
+                drift_m: (seen.center() - self.map.keyframe(id).center()).norm(),
+            };
+            let before = self.keyframe_poses();
+            if !self.pull_together(&closure, seen.camera_from_world) {
+                continue;
+            }
+            self.join(&closure, &seen);
+            self.adjust_everything();
+            tracing::info!(
+                keyframe = id.0,
+                older = older.0,
+                inliers,
+                drift_m = closure.drift_m,
+                "loop closed"
+            );
+            self.loops.closed.push(closure);
+            self.loops.streaks.clear();
+            let after = self.keyframe_poses();
+            let pairs = after.iter().zip(&before);
+            return pairs.map(|(a, b)| a.inverse() * *b).collect();
+        }
+        Vec::new()
+    }
+
+    /// Older keyframes that look at least as much like this one as its least alike neighbour does,
+    /// for several keyframes in a row; most alike first.
+    fn suspects(&mut self, id: KeyframeId) -> Vec<KeyframeId> {
+        let config = &self.config.loops;
+        let recently = self.loops.closed.last();
+        if recently.is_some_and(|l| id.0 - l.keyframe.0 < config.min_gap) {
+            return Vec::new();
+        }
+        let descriptors = still_descriptors(self.map.keyframe(id));
+        let near = neighbours(&self.map, id, config.neighbour_landmarks);
+        let scores = near
+            .iter()
+            .filter_map(|k| self.places.score(*k, &descriptors));
+        let least = scores.fold(f64::INFINITY, f64::min);
+        let is_near = |k: KeyframeId| near.contains(&k) || k.0 + config.min_gap > id.0;
+        let found: Vec<_> = (self.places)
+            .query(&descriptors, config.candidates, is_near)
+            .into_iter()
+            .filter(|c| least.is_infinite() || c.score >= least)
+            .collect();
+        let places = found.iter().map(|candidate| {
+            let mut place = neighbours(&self.map, candidate.id, config.neighbour_landmarks);
+            place.insert(candidate.id);
+            place
+        });
+        let lengths = self.loops.continue_streaks(places.collect());
+        let long = lengths.iter().map(|l| *l >= config.in_a_row);
+        let suspects = found.iter().zip(long).filter(|(_, long)| *long);
+        suspects.map(|(c, _)| c.id).collect()
+    }
+
+    /// Could the path have drifted from where it puts the keyframe to where it was seen? The camera
+    /// and what is straight ahead of it must be off by no more than a share of the way gone.
+    fn is_plausible(&self, id: KeyframeId, older: KeyframeId, seen: &Frame) -> bool {
+        let keyframes = &self.map.keyframes()[older.index()..=id.index()];
+        let steps = keyframes.windows(2);
+        let way_m = steps
+            .map(|pair| (pair[1].center() - pair[0].center()).norm())
+            .fold(0.0, |sum, step| sum + step);
+        let config = &self.config.loops;
+        let limit_m = config.max_drift_floor_m + config.max_drift * way_m;
+        let tracked = self.map.keyframe(id).camera_from_world.inverse();
+        let located = seen.camera_from_world.inverse();
+        let ahead = Vector3::new(0.0, 0.0, TYPICAL_DEPTH_M);
+        [Vector3::zeros(), ahead]
+            .iter()
+            .all(|p| (tracked * *p - located * *p).norm() <= limit_m)
+    }
+
+    /// Spreads the error of the loop over all keyframes, and moves every landmark with the keyframe
+    /// it was born in. The edges of the graph:
+    ///
+    /// | between | what they say | weight |
+    /// |---|---|---|
+    /// | consecutive keyframes, and any that share many landmarks | as now | landmarks shared |
+    /// | the two ends of loops closed before | as now | inliers of then |
+    /// | the two ends of this loop | as located | inliers |
+    ///
+    /// n landmarks seen at depth d hold a relative pose with Ω ∝ n diag(1, 1, 1, d², d², d²).
+    /// `false`, and nothing has moved, if the graph has no solution.
+    fn pull_together(&mut self, closure: &LoopClosure, located: Se3) -> bool {
+        let mut graph = PoseGraph::default();
+        for (k, pose) in self.keyframe_poses().into_iter().enumerate() {
+            graph.add_pose(pose, k == 0);
+        }
+        let poses = graph.poses.clone();
+        let relative = |a: Se3, b: KeyframeId| a * poses[b.index()].inverse();
+        for b in (0u32..).map(KeyframeId).take(poses.len()) {
+            let next = KeyframeId(b.0 + 1);
+            let shared = self.map.covisible(b);
+            let mut pairs: Vec<_> = shared.into_iter().filter(|(a, _)| *a > b).collect();
+            if next.index() < poses.len() && !pairs.iter().any(|(a, _)| *a == next) {
+                pairs.push((next, 1));
+            }
+            pairs.retain(|(a, n)| *a == next || *n >= EDGE_LANDMARKS);
+            let as_now =
+                |(a, n): &(KeyframeId, usize)| edge(*a, b, relative(poses[a.index()], b), *n);
+            graph.edges.extend(pairs.iter().map(as_now));
+        }
+        for l in &self.loops.closed {
+            let as_now = relative(poses[l.keyframe.index()], l.older);
+            graph
+                .edges
+                .push(edge(l.keyframe, l.older, as_now, l.inliers));
+        }
+        let (a, b) = (closure.keyframe, closure.older);
+        graph
+            .edges
+            .push(edge(a, b, relative(located, b), closure.inliers));
+        match graph.optimise(&PoseGraphConfig::default()) {
+            Ok(_) if graph.poses.iter().all(Se3::is_finite) => {}
+            _ => return false,
+        }
+        let after_from_before: Vec<Se3> = graph
+            .poses
+            .iter()
+            .zip(&poses)
+            .map(|(after, before)| after.inverse() * *before)
+            .collect();
+        for (k, pose) in (0u32..).map(KeyframeId).zip(&graph.poses) {
+            self.map.keyframe_mut(k).camera_from_world = *pose;
+        }
+        for id in self.landmark_ids() {
+            if let Some(landmark) = self.map.landmark_mut(id) {
+                landmark.p_world = after_from_before[landmark.born.index()] * landmark.p_world;
+            }
+        }
+        self.refresh_all();
+        true
+    }
+
+    /// One landmark instead of two wherever the keyframe and its neighbours see a landmark of the
+    /// older place.
+    fn join(&mut self, closure: &LoopClosure, seen: &Frame) {
+        let id = closure.keyframe;
+        for (i, old) in seen.landmark.iter().enumerate() {
+            let Some(old) = *old else { continue };
+            let links = |l: &crate::map::Landmark| l.observations.iter().any(|(k, _)| *k == id);
+            if self.map.landmark(old).is_none_or(links) {
+                continue;
+            }
+            match self.map.keyframe(id).landmark[i] {
+                Some(new) => self.map.fuse(old, new, &self.scales),
+                None => self.map.add_observation(old, id, i),
+            }
+        }
+        let old = self.landmarks_around(closure.older);
+        let near = by_count(&self.map.covisible(id));
+        for k in [id]
+            .into_iter()
+            .chain(near.into_iter().take(JOIN_NEIGHBOURS))
+        {
+            let (camera, bf) = (&self.camera, self.config.tracking.bf);
+            fuse_into(&mut self.map, &old, k, camera, &self.scales, bf);
+        }
+        self.refresh_all();
+    }
+
+    /// Bundle adjustment of all keyframes but the first and all landmarks at rest.
+    fn adjust_everything(&mut self) {
+        let iterations = self.config.loops.bundle_iterations;
+        let count = u32::try_from(self.map.keyframes().len()).unwrap_or(u32::MAX);
+        if iterations == 0 || count < 2 {
+            return;
+        }
+        let free: Vec<_> = (1..count).map(KeyframeId).collect();
+        let mut landmarks = self.landmark_ids();
+        landmarks.retain(|l| self.map.static_landmark(*l).is_some());
+        self.adjust(&free, &[KeyframeId(0)], &landmarks, iterations);
+    }
+
+    fn landmark_ids(&self) -> Vec<LandmarkId> {
+        self.map.landmarks().map(|(id, _)| id).collect()
+    }
+
+    fn refresh_all(&mut self) {
+        for id in self.landmark_ids() {
+            self.map.refresh(id, &self.scales);
+        }
+    }
+}
+
+/// Keyframes that share so many landmarks with one.
+fn neighbours(map: &Map, id: KeyframeId, landmarks: usize) -> BTreeSet<KeyframeId> {
+    let shared = map.covisible(id).into_iter();
+    shared
+        .filter(|(_, n)| *n >= landmarks)
+        .map(|(k, _)| k)
+        .collect()
+}
+
+fn edge(a: KeyframeId, b: KeyframeId, a_from_b: Se3, landmarks: usize) -> PoseEdge {
+    let (n, d2) = (landmarks.max(1) as f64, TYPICAL_DEPTH_M * TYPICAL_DEPTH_M);
+    PoseEdge {
+        a: a.index(),
+        b: b.index(),
+        a_from_b,
+        information: Matrix6::from_diagonal(&Vector6::new(n, n, n, n * d2, n * d2, n * d2)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use garad_core::{Camera, DepthImage, FrameId, Par, So3};
+    use garad_features::{Descriptor, Keypoint};
+
+    use super::*;
+    use crate::config::Config;
+    use crate::frame::Levels;
+
+    const SIZE: (usize, usize) = (64, 48);
+    const STEPS: u32 = 24;
+
+    /// A step along a circle of 24 steps, 4.8 m around: a turn of 15° and 0.2 m.
+    fn step() -> Se3 {
+        let turn = std::f64::consts::TAU / f64::from(STEPS);
+        Se3::exp(&Vector6::new(0.0, 0.0, 0.2, 0.0, turn, 0.0))
+    }
+
+    /// Keyframes around the circle, each with a landmark of its own 2 m ahead, and each step wrong
+    /// by the same motion.
+    fn drifted(error: Se3) -> Slam {
+        let camera = Camera::pinhole(SIZE, [50.0, 50.0, 31.5, 23.5]).expect("valid camera");
+        let config = Config::default();
+        let mut slam = Slam::new(camera, config.clone(), 0, Par::Seq).expect("valid");
+        let depth = DepthImage::new(SIZE.0, SIZE.1, 2.0);
+        let levels = Levels::new(SIZE, 1.2, 8, true);
+        let keypoint = Keypoint {
+            x: 20.0,
+            y: 30.0,
+            level: 0,
+            angle_deg: 0.0,
+            response: 1.0,
+        };
+        let mut pose = Se3::identity();
+        for i in 0..=STEPS {
+            let (keypoints, descriptors) = (vec![keypoint], vec![Descriptor::default()]);
+            let (id, t_s) = (FrameId(i), f64::from(i));
+            let mut frame = Frame::new(
+                id,
+                t_s,
+                keypoints,
+                descriptors,
+                &depth,
+                None,
+                &camera,
+                &levels,
+                &config,
+            );
+            frame.camera_from_world = pose;
+            let p_world = frame.world_point(0, &camera).expect("has depth");
+            let k = slam.map.add_keyframe(frame);
+            slam.map.add_landmark(p_world, k, 0, &slam.scales.clone());
+            pose = error * step() * pose;
+        }
+        slam
+    }
+
+    fn error_m(slam: &Slam) -> f64 {
+        let mut truth = Se3::identity();
+        let mut worst = 0.0f64;
+        for keyframe in slam.map.keyframes() {
+            worst = worst.max((keyframe.center() - truth.inverse().translation).norm());
+            truth = step() * truth;
+        }
+        worst
+    }
+
+    /// The path rises by 5 mm and turns 0.2° too far at every step. The loop's ends meet, the error is spread, and every landmark stays where its own keyframe
+    /// saw it.
+    #[test]
+    fn a_drifted_circle_is_pulled_together() {
+        let mut slam = drifted(Se3::exp(&Vector6::new(0.0, 0.005, 0.0, 0.0, 0.004, 0.0)));
+        let in_camera = |slam: &Slam| -> Vec<Vector3<f64>> {
+            let landmarks = slam.map.landmarks().map(|(_, l)| l);
+            landmarks
+                .map(|l| slam.map.keyframe(l.born).camera_from_world * l.p_world)
+                .collect()
+        };
+        let (before, seen_before) = (error_m(&slam), in_camera(&slam));
+        let closure = LoopClosure {
+            keyframe: KeyframeId(STEPS),
+            older: KeyframeId(0),
+            inliers: 1000,
+            drift_m: 0.0,
+        };
+        // A whole lap: the camera is back at the first keyframe.
+        assert!(slam.pull_together(&closure, Se3::identity()), "solved");
+        let after = error_m(&slam);
+        assert!(
+            before > 0.05 && after < before / 3.0,
+            "{before} to {after} m"
+        );
+        let last = slam.map.keyframe(KeyframeId(STEPS)).camera_from_world;
+        assert!(last.log().norm() < 2e-3, "the ends meet: {last:?}");
+        for (now, then) in in_camera(&slam).iter().zip(&seen_before) {
+            assert!((now - then).norm() < 1e-9, "a landmark left its keyframe");
+        }
+    }
+
+    #[test]
+    fn drift_beyond_a_share_of_the_way_is_not_believed() {
+        let slam = drifted(Se3::identity());
+        let limit_m = 0.2 + 0.05 * 4.8;
+        let seen_at = |x: f64, turn: f64| {
+            let mut seen = slam.map.keyframe(KeyframeId(STEPS)).clone();
+            let error = Se3::new(
+                So3::exp(&Vector3::new(0.0, turn, 0.0)),
+                Vector3::new(x, 0.0, 0.0),
+            );
+            seen.camera_from_world = error * seen.camera_from_world;
+            slam.is_plausible(KeyframeId(STEPS), KeyframeId(0), &seen)
+        };
+        assert!(seen_at(0.97 * limit_m, 0.0), "just within");
+        assert!(!seen_at(1.03 * limit_m, 0.0), "just beyond");
+        assert!(!seen_at(0.0, 0.5), "turned away: 1.2 m off straight ahead");
+    }
+
+    #[test]
+    fn a_streak_needs_a_keyframe_in_common() {
+        let place = |ids: &[u32]| -> BTreeSet<_> { ids.iter().map(|k| KeyframeId(*k)).collect() };
+        let mut closer = LoopCloser::default();
+        assert_eq!(closer.continue_streaks(vec![place(&[1, 2])]), [1], "first");
+        let both = vec![place(&[2, 3]), place(&[7, 8])];
+        assert_eq!(closer.continue_streaks(both), [2, 1], "one goes on");
+        let third = vec![place(&[3, 8])];
+        assert_eq!(closer.continue_streaks(third), [3], "the longer one counts");
+        assert!(closer.continue_streaks(Vec::new()).is_empty(), "nothing");
+        assert_eq!(closer.continue_streaks(vec![place(&[3])]), [1], "broken");
+    }
+}

@@ -1,0 +1,91 @@
+//! Gaussians follow the keyframe they were born in when a loop is closed.
+
+use garad_core::{GaussianMap, Se3, So3};
+use nalgebra::Vector3;
+
+/// Moves every Gaussian as its keyframe was moved: for C = `moved[born]`, after_from_before in the
+/// world,
+///
+/// μ ← C μ,   q ← C.R q
+///
+/// Shapes, opacities and colours stay. Spherical harmonics of degree 1 and up are not turned:
+/// corrections are a few degrees at most, and training makes up for them.
+///
+/// # Numerics
+/// f64, rounded to f32 at the end. Gaussians of keyframes that are not in the list stay.
+pub fn follow(map: &mut GaussianMap, moved: &[Se3]) {
+    if moved.is_empty() {
+        return;
+    }
+    for i in 0..map.len() {
+        let Some(motion) = moved.get(map.born[i].index()) else {
+            continue;
+        };
+        let mean = *motion * Vector3::from(map.means[i].map(f64::from));
+        map.means[i] = to_f32([mean.x, mean.y, mean.z]);
+        let q = map.quaternions[i].map(f64::from);
+        let length = q.iter().fold(0.0, |sum, c| sum + c * c).sqrt();
+        // Training leaves quaternions at any length but 0, and the gradient depends on it.
+        if let Some(own) = So3::from_quaternion(q[0], q[1], q[2], q[3]) {
+            let turned = (motion.rotation * own).quaternion();
+            map.quaternions[i] = to_f32(turned.map(|c| c * length));
+        }
+    }
+}
+
+#[allow(clippy::cast_possible_truncation, reason = "the map is in f32")]
+fn to_f32<const N: usize>(v: [f64; N]) -> [f32; N] {
+    v.map(|c| c as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use garad_core::{KeyframeId, NewGaussian};
+
+    fn gaussian(born: u32) -> NewGaussian {
+        NewGaussian {
+            mean: [1.0, 2.0, 3.0],
+            sigma_m: 0.1,
+            opacity: 0.5,
+            color: [0.5; 3],
+            landmark: None,
+            born: KeyframeId(born),
+        }
+    }
+
+    #[test]
+    fn each_gaussian_goes_with_its_own_keyframe() {
+        let mut map = GaussianMap::new(0);
+        for born in 0..3 {
+            map.push(&gaussian(born));
+        }
+        map.quaternions[1] = [0.0, 0.0, 0.0, 2.0]; // half a turn about z, length 2
+        let quarter = So3::exp(&Vector3::new(0.0, 0.0, std::f64::consts::FRAC_PI_2));
+        let moved = [
+            Se3::identity(),
+            Se3::new(quarter, Vector3::new(0.0, 0.0, 1.0)),
+        ];
+        let before = map.clone();
+        follow(&mut map, &moved);
+        let near = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
+        let start = [1.0, 2.0, 3.0];
+        assert!(near(&map.means[0], &start), "its keyframe stays");
+        assert!(near(&map.means[2], &start), "its keyframe is not told of");
+        assert!(near(&map.means[1], &[-2.0, 1.0, 4.0]), "{:?}", map.means[1]);
+        // 180° + 90° about z: cos 135° and sin 135°, times the length, up to the common sign.
+        let half = 2.0f32.sqrt();
+        let q = map.quaternions[1];
+        assert!(
+            near(&q, &[-half, 0.0, 0.0, half]) || near(&q, &[half, 0.0, 0.0, -half]),
+            "{q:?}"
+        );
+        assert!(
+            near(&map.log_scales[1], &before.log_scales[1]),
+            "shapes stay"
+        );
+        let moved = map.clone();
+        follow(&mut map, &[]);
+        assert_eq!(map, moved, "no loop, nothing moves");
+    }
+}
