@@ -3,10 +3,10 @@
 //! | file | what |
 //! |---|---|
 //! | `trajectory.txt`, `keyframes.txt` | poses, TUM format |
-//! | `map.ply` | Gaussians, standard 3DGS layout |
+//! | `map.ply` | the Gaussians at rest, standard 3DGS layout |
 //! | `metrics.json` | every figure, for machines |
 //! | `report.html` | one page for people |
-//! | `labels/` | what was found to move: `keypoints.csv`, `masks/*.png` (a value per 4 x 4 pixels), `gaussians.csv` |
+//! | `labels/` | what was found to move: `keypoints.csv`, `masks/*.png` (a value per 4 x 4 pixels), `gaussians.csv` (counts per keyframe), `gaussians.ply` (all, with a label) |
 //! | `pictures/` | input, render, depth and keypoints of a few frames |
 //! | `config.toml` | every number as used |
 
@@ -170,11 +170,10 @@ pub fn write(out: &Path, result: &RunResult, judged: &Judged, warnings: &[String
         &out.join("keyframes.txt"),
         &result.slam.keyframe_trajectory(),
     )?;
-    let map = write_ply(
-        &out.join("map.ply"),
-        result.gaussians()?,
-        &PlyOptions::default(),
-    );
+    let mut at_rest = result.gaussians()?.clone();
+    let label = at_rest.label.clone();
+    at_rest.retain(|i| label[i] == Label::Static);
+    let map = write_ply(&out.join("map.ply"), &at_rest, &PlyOptions::default());
     write_labels(&out.join("labels"), result)?;
     let config = crate::config_file::write(result.slam.config())?;
     write_bytes_atomically(&out.join("config.toml"), config.as_bytes())?;
@@ -233,6 +232,9 @@ fn write_labels(out: &Path, result: &RunResult) -> Result<()> {
         ));
     }
     write_bytes_atomically(&out.join("gaussians.csv"), rows.as_bytes())?;
+    // A map that cannot be written is named once, where the static part is written.
+    let options = PlyOptions { label: true };
+    let _ = write_ply(&out.join("gaussians.ply"), result.gaussians()?, &options);
     Ok(())
 }
 

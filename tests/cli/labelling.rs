@@ -26,6 +26,9 @@ fn labels_are_written_and_judged_by_the_recordings_own_masks() {
         gaussians.starts_with("frame,keyframe,gaussians,dynamic"),
         "{gaussians}"
     );
+    let head = fs::read(labels.join("gaussians.ply")).expect("all Gaussians");
+    let head = String::from_utf8_lossy(&head[..2000]).into_owned();
+    assert!(head.contains("property uchar label"), "with a label each");
     let metrics = metrics(&bench.out());
     let labels = &metrics["labels"];
     assert!(labels["pixels"]["iou"].is_number(), "{metrics}");
