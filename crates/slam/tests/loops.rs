@@ -1,0 +1,60 @@
+//! A lap around a room whose ends must meet. Takes some minutes: runs with `GARAD_EXTENSIVE=1`.
+
+use garad_core::Par;
+use garad_eval::{AteOptions, ate};
+use garad_slam::{Config, FrameInput, Silent, Slam};
+use garad_synth::{Scene, SceneConfig, SceneName};
+
+/// Every third frame of a lap and a bit, with few features, so that the path drifts.
+fn run(scene: &Scene, enabled: bool, par: Par) -> Slam {
+    let mut config = Config::default();
+    config.seed.enabled = false;
+    config.features.count = 300;
+    config.loops.enabled = enabled;
+    let mut slam = Slam::new(scene.camera(), config, 0, par).expect("valid");
+    for i in (0..scene.len()).step_by(3) {
+        let frame = scene.frame(i, Par::Threads(2));
+        let input = FrameInput {
+            t_s: frame.t_s,
+            rgb: &frame.rgb,
+            depth: &frame.depth,
+            mask: None,
+        };
+        slam.process(&input, &mut Silent).expect("a good frame");
+    }
+    slam
+}
+
+#[test]
+fn extensive_a_closed_loop_halves_the_error_of_a_lap() {
+    if std::env::var_os("GARAD_EXTENSIVE").is_none() {
+        return;
+    }
+    let scene = Scene::new(&SceneConfig {
+        frames: 800,
+        noise: true,
+        ..SceneConfig::new(SceneName::Loop)
+    })
+    .expect("valid scene");
+    let error_m = |slam: &Slam| {
+        let options = AteOptions::default();
+        let error = ate(&scene.trajectory(), &slam.trajectory(), &options);
+        error.expect("judged").stats.rmse
+    };
+    let open = run(&scene, false, Par::Seq);
+    assert!(open.loops().is_empty(), "off is off");
+    let closed = run(&scene, true, Par::Seq);
+    assert!(!closed.loops().is_empty(), "the place is seen again");
+    let (before, after) = (error_m(&open), error_m(&closed));
+    assert!(
+        after < before / 1.8,
+        "ATE {before} m open, {after} m closed"
+    );
+    let bits = |slam: &Slam| -> Vec<u64> {
+        let path = slam.trajectory().into_iter();
+        path.flat_map(|p| p.world_from_camera.translation.map(f64::to_bits).data.0[0])
+            .collect()
+    };
+    let threaded = run(&scene, true, Par::Threads(2));
+    assert!(bits(&closed) == bits(&threaded), "2 threads, same bits");
+}
