@@ -524,7 +524,9 @@ impl Slam {
                 observer.end(Stage::Label);
             }
             observer.begin(Stage::TrackLocalMap);
-            inliers = self.track_local_map(frame, pyramid, input.depth);
+            // The flow check has use for the pyramid, too.
+            let to_refine = pyramid.filter(|_| self.config.refine.enabled);
+            inliers = self.track_local_map(frame, to_refine, input.depth);
             observer.end(Stage::TrackLocalMap);
         }
         if inliers >= needed {
