@@ -1,10 +1,19 @@
-//! Keyframes: when a frame is kept, which landmarks it makes, which are thrown out.
+//! Keyframes: when a frame is kept, what follows from it, which landmarks it makes, which are thrown
+//! out.
 
-use garad_core::{Camera, KeyframeId, LandmarkId};
+use std::sync::Arc;
+
+use garad_core::{Camera, KeyframeId, LandmarkId, MaskImage};
+use garad_features::LkPyramid;
 
 use crate::frame::Frame;
+use crate::labels::frame::full_size;
+use crate::labels::witness::Witness;
 use crate::map::{Map, by_count};
-use crate::system::Slam;
+use crate::mapper::{MappingJob, NewLandmark};
+use crate::observer::{Observer, Stage};
+use crate::recover::still_descriptors;
+use crate::system::{FrameInput, Slam, SlamError};
 
 /// χ² at 95 % for 2 and 3 degrees of freedom: the gates of every reprojection test.
 pub const CHI2_2D: f64 = 5.991;
@@ -48,6 +57,100 @@ impl Slam {
             .filter_map(|l| self.map.landmark(*l))
             .filter(|l| l.observations.len() >= needed)
             .count()
+    }
+
+    /// Keeps a keyframe's picture and forgets the oldest one beyond the limit.
+    pub(crate) fn remember_picture(
+        &mut self,
+        keyframe: KeyframeId,
+        pyramid: Option<Arc<LkPyramid>>,
+    ) {
+        if let Some(pyramid) = pyramid {
+            self.pyramids.insert(keyframe, pyramid);
+        }
+        while self.pyramids.len() > self.config.refine.keyframes {
+            self.pyramids.pop_first();
+        }
+    }
+
+    /// Keeps a frame: landmarks and bundle adjustment here, Gaussians in a mapping job.
+    pub(crate) fn keep(
+        &mut self,
+        frame: Frame,
+        input: &FrameInput<'_>,
+        cells: Option<MaskImage>,
+        observer: &mut dyn Observer,
+    ) -> Result<KeyframeId, SlamError> {
+        let frame_id = frame.id;
+        let since_last = (frame_id.0 - self.last_keyframe_frame.0) as usize;
+        observer.begin(Stage::Keyframe);
+        let id = self.add_keyframe(frame);
+        observer.end(Stage::Keyframe);
+        let mask = match (&cells, input.mask) {
+            (Some(cells), _) => Some(full_size(cells, input.rgb.size())),
+            (None, given) => given.cloned(),
+        };
+        let mut labels = Vec::new();
+        if self.config.labels.enabled && input.mask.is_none() {
+            observer.begin(Stage::LabelMap);
+            let mut witness = Witness::new(input.depth, self.config.features.max_depth_m);
+            if let Some(cells) = &cells {
+                witness.set_moving(cells.clone());
+            }
+            self.witnesses.insert(id, witness);
+            self.forget_witnesses(frame_id);
+            if frame_id.0 >= self.config.labels.bootstrap_frames {
+                labels = self.label_landmarks(id);
+            }
+            observer.end(Stage::LabelMap);
+        }
+        if self.config.local_ba.enabled {
+            observer.begin(Stage::LocalBa);
+            self.local_ba(id);
+            observer.end(Stage::LocalBa);
+        }
+        let mut moved = Vec::new();
+        if self.config.loops.enabled {
+            observer.begin(Stage::Loop);
+            moved = self.close_loop(id);
+            observer.end(Stage::Loop);
+        }
+        self.places
+            .add(id, &still_descriptors(self.map.keyframe(id)));
+        if self.config.seed.enabled {
+            let train = &self.config.train;
+            let job = MappingJob {
+                keyframe: id,
+                frame: frame_id,
+                rgb: input.rgb.clone(),
+                depth: input.depth.clone(),
+                mask,
+                cells,
+                labels,
+                poses: self.keyframe_poses(),
+                moved,
+                new_landmarks: self.landmarks_born_in(id),
+                iterations: train.per_keyframe + train.per_frame * since_last,
+            };
+            self.schedule.submit(job)?;
+        }
+        Ok(id)
+    }
+
+    /// What the mapper is told of a keyframe's new landmarks.
+    fn landmarks_born_in(&self, id: KeyframeId) -> Vec<NewLandmark> {
+        let keyframe = self.map.keyframe(id);
+        let linked = (0..keyframe.len()).filter_map(|i| Some((i, keyframe.landmark[i]?)));
+        linked
+            .filter_map(|(i, landmark)| {
+                let found = self.map.landmark(landmark).filter(|l| l.born == id)?;
+                Some(NewLandmark {
+                    id: landmark,
+                    p_world: found.p_world,
+                    px: [pixel(keyframe.px[i].x), pixel(keyframe.px[i].y)],
+                })
+            })
+            .collect()
     }
 
     /// Adds a keyframe: links become observations, depth becomes landmarks, neighbours' doubles
@@ -125,6 +228,16 @@ impl Slam {
             }
         }
     }
+}
+
+/// Index of the pixel a place lies in.
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "float to integer saturates; keypoints lie inside the picture"
+)]
+fn pixel(c: f64) -> usize {
+    (c + 0.5) as usize
 }
 
 /// Neighbours searched for doubles of a keyframe's landmarks.

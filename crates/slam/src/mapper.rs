@@ -126,7 +126,7 @@ impl Mapper {
         &self.gaussians
     }
 
-    /// Inserts what the keyframe shows anew, and trains.
+    /// Labels what the keyframe sees, inserts what it shows anew, and trains.
     pub fn run(&mut self, job: MappingJob, observer: &mut dyn Observer) -> MappingDone {
         self.poses = job.poses.clone();
         follow::follow(&mut self.gaussians, &job.moved);
@@ -135,37 +135,7 @@ impl Mapper {
         observer.end(Stage::Relabel);
         let before = self.gaussians.len();
         observer.begin(Stage::Insert);
-        if let Some(pose) = self.poses.get(job.keyframe.index()).copied() {
-            let picture = Picture {
-                rgb: &job.rgb,
-                depth: &job.depth,
-                mask: job.mask.as_ref(),
-            };
-            let seed = &self.config.seed;
-            let max_depth_m = self.config.features.max_depth_m;
-            seed_from_depth(
-                &mut self.gaussians,
-                &picture,
-                &self.camera,
-                &pose,
-                job.keyframe,
-                seed,
-                max_depth_m,
-                self.par,
-            );
-            if seed.landmarks {
-                let landmarks = &job.new_landmarks;
-                insert_landmarks(
-                    &mut self.gaussians,
-                    landmarks,
-                    &job.rgb,
-                    &self.camera,
-                    &pose,
-                    job.keyframe,
-                    seed,
-                );
-            }
-        }
+        self.insert(&job);
         observer.end(Stage::Insert);
         let mut done = MappingDone {
             keyframe: job.keyframe,
@@ -208,6 +178,40 @@ impl Mapper {
         done.dynamic = labels.filter(|l| **l == Label::Dynamic).count();
         done.gaussians = self.gaussians.len();
         done
+    }
+
+    /// Gaussians where the map does not explain the keyframe yet, and one for each new landmark.
+    fn insert(&mut self, job: &MappingJob) {
+        let Some(pose) = self.poses.get(job.keyframe.index()).copied() else {
+            return;
+        };
+        let picture = Picture {
+            rgb: &job.rgb,
+            depth: &job.depth,
+            mask: job.mask.as_ref(),
+        };
+        let seed = &self.config.seed;
+        seed_from_depth(
+            &mut self.gaussians,
+            &picture,
+            &self.camera,
+            &pose,
+            job.keyframe,
+            seed,
+            self.config.features.max_depth_m,
+            self.par,
+        );
+        if seed.landmarks {
+            insert_landmarks(
+                &mut self.gaussians,
+                &job.new_landmarks,
+                &job.rgb,
+                &self.camera,
+                &pose,
+                job.keyframe,
+                seed,
+            );
+        }
     }
 
     /// Labels what the keyframe sees, and drops what has moved for a whole window.

@@ -13,14 +13,13 @@ use thiserror::Error;
 
 use crate::config::{Config, ConfigError};
 use crate::frame::{Frame, Levels};
-use crate::labels::frame::{FrameLabels, Lattice, full_size};
+use crate::labels::frame::{FrameLabels, Lattice};
 use crate::labels::witness::Witness;
 use crate::loop_closing::{LoopCloser, LoopClosure};
 use crate::map::Map;
 use crate::mapper::train::{TrainError, TrainStep};
-use crate::mapper::{Mapper, MappingDone, MappingJob, NewLandmark};
+use crate::mapper::{Mapper, MappingDone};
 use crate::observer::{Observer, Stage};
-use crate::recover::still_descriptors;
 use crate::schedule::{MappingObserver, Schedule};
 use crate::tracker::TrackingState;
 
@@ -134,7 +133,7 @@ pub struct Slam {
     pub(crate) crf: Crf,
     /// What moves in the last tracked frame.
     frame_labels: Option<FrameLabels>,
-    schedule: Schedule,
+    pub(crate) schedule: Schedule,
     /// What became of every keyframe's job.
     mapped: Vec<MappingDone>,
     state: TrackingState,
@@ -544,105 +543,4 @@ impl Slam {
         }
         inliers
     }
-
-    /// Keeps a keyframe's picture and forgets the oldest one beyond the limit.
-    fn remember_picture(&mut self, keyframe: KeyframeId, pyramid: Option<Arc<LkPyramid>>) {
-        if let Some(pyramid) = pyramid {
-            self.pyramids.insert(keyframe, pyramid);
-        }
-        while self.pyramids.len() > self.config.refine.keyframes {
-            self.pyramids.pop_first();
-        }
-    }
-
-    /// Keeps a frame: landmarks and bundle adjustment here, Gaussians in a mapping job.
-    fn keep(
-        &mut self,
-        frame: Frame,
-        input: &FrameInput<'_>,
-        cells: Option<MaskImage>,
-        observer: &mut dyn Observer,
-    ) -> Result<KeyframeId, SlamError> {
-        let frame_id = frame.id;
-        let since_last = (frame_id.0 - self.last_keyframe_frame.0) as usize;
-        observer.begin(Stage::Keyframe);
-        let id = self.add_keyframe(frame);
-        observer.end(Stage::Keyframe);
-        let mask = match (&cells, input.mask) {
-            (Some(cells), _) => Some(full_size(cells, input.rgb.size())),
-            (None, given) => given.cloned(),
-        };
-        let cells_of_job = cells.clone();
-        let mut labels = Vec::new();
-        if self.config.labels.enabled && input.mask.is_none() {
-            observer.begin(Stage::LabelMap);
-            let mut witness = Witness::new(input.depth, self.config.features.max_depth_m);
-            if let Some(cells) = cells {
-                witness.set_moving(cells);
-            }
-            self.witnesses.insert(id, witness);
-            self.forget_witnesses(frame_id);
-            if frame_id.0 >= self.config.labels.bootstrap_frames {
-                labels = self.label_landmarks(id);
-            }
-            observer.end(Stage::LabelMap);
-        }
-        if self.config.local_ba.enabled {
-            observer.begin(Stage::LocalBa);
-            self.local_ba(id);
-            observer.end(Stage::LocalBa);
-        }
-        let mut moved = Vec::new();
-        if self.config.loops.enabled {
-            observer.begin(Stage::Loop);
-            moved = self.close_loop(id);
-            observer.end(Stage::Loop);
-        }
-        self.places
-            .add(id, &still_descriptors(self.map.keyframe(id)));
-        if self.config.seed.enabled {
-            let train = &self.config.train;
-            let job = MappingJob {
-                keyframe: id,
-                frame: frame_id,
-                rgb: input.rgb.clone(),
-                depth: input.depth.clone(),
-                mask,
-                cells: cells_of_job,
-                labels,
-                poses: self.keyframe_poses(),
-                moved,
-                new_landmarks: self.landmarks_born_in(id),
-                iterations: train.per_keyframe + train.per_frame * since_last,
-            };
-            self.schedule.submit(job)?;
-        }
-        Ok(id)
-    }
-
-    /// What the mapper is told of a keyframe's new landmarks.
-    fn landmarks_born_in(&self, id: KeyframeId) -> Vec<NewLandmark> {
-        let keyframe = self.map.keyframe(id);
-        let linked = (0..keyframe.len()).filter_map(|i| Some((i, keyframe.landmark[i]?)));
-        linked
-            .filter_map(|(i, landmark)| {
-                let found = self.map.landmark(landmark).filter(|l| l.born == id)?;
-                Some(NewLandmark {
-                    id: landmark,
-                    p_world: found.p_world,
-                    px: [pixel(keyframe.px[i].x), pixel(keyframe.px[i].y)],
-                })
-            })
-            .collect()
-    }
-}
-
-/// Index of the pixel a place lies in.
-#[allow(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "float to integer saturates; keypoints lie inside the picture"
-)]
-fn pixel(c: f64) -> usize {
-    (c + 0.5) as usize
 }

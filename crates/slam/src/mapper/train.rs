@@ -46,6 +46,18 @@ struct Groups {
     sh: Adam<f32>,
 }
 
+impl Groups {
+    fn each_mut(&mut self) -> [&mut Adam<f32>; 5] {
+        [
+            &mut self.means,
+            &mut self.log_scales,
+            &mut self.quaternions,
+            &mut self.opacity_logits,
+            &mut self.sh,
+        ]
+    }
+}
+
 /// One group about to take a step.
 struct Step<'a> {
     parameters: &'a mut [f32],
@@ -267,14 +279,7 @@ impl Trainer {
         let new = rows.saturating_sub(self.groups.means.rows());
         self.windows
             .resize(rows.max(self.windows.len()), LabelWindow::default());
-        let Groups {
-            means,
-            log_scales,
-            quaternions,
-            opacity_logits,
-            sh,
-        } = &mut self.groups;
-        for group in [means, log_scales, quaternions, opacity_logits, sh] {
+        for group in self.groups.each_mut() {
             group.extend(new);
         }
     }
@@ -285,14 +290,7 @@ impl Trainer {
     /// [`TrainError::Optim`] unless there is a decision for every Gaussian.
     pub fn retain(&mut self, map: &mut GaussianMap, keep: &[bool]) -> Result<(), TrainError> {
         self.extend(map.len());
-        let Groups {
-            means,
-            log_scales,
-            quaternions,
-            opacity_logits,
-            sh,
-        } = &mut self.groups;
-        for group in [means, log_scales, quaternions, opacity_logits, sh] {
+        for group in self.groups.each_mut() {
             group.retain(keep)?;
         }
         let mut kept = keep.iter();

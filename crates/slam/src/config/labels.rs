@@ -1,0 +1,162 @@
+//! What moves: samples and witnesses, the random field, the flow check.
+
+use garad_crf::{CrfConfig, CueModel, DepthNoise, LabelWindowConfig, Method, Pooling, Side};
+use garad_features::flow::{FlowConfig, FlowEstimator, FlowForm};
+use serde::{Deserialize, Serialize};
+
+/// The field as it is used here; what differs from [`CrfConfig::default`] is argued in decision 005.
+pub(super) fn crf_default() -> CrfConfig {
+    let mut crf = CrfConfig::default();
+    crf.unary.reprojection = CueModel::new(2.5, 1.0, Side::Above);
+    crf.unary.depth = CueModel::new(2.0, 1.5, Side::Above);
+    crf.unary.observations = CueModel::new(2.0, 1.0, Side::Below);
+    crf.unary.epipolar = CueModel::new(2.0, 1.0, Side::Above);
+    crf.unary.pooling = Pooling::Geometric;
+    crf.kernels.sigma_m = 0.2;
+    crf.kernels.sigma_px = 30.0;
+    crf.mean_field.iterations = 5;
+    crf.mean_field.method = Method::Fast { tail: 1e-4 };
+    crf
+}
+
+/// What moves, and what that does to features.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LabelConfig {
+    /// Off (`--without crf`): everything is static, unless a mask is given.
+    pub enabled: bool,
+    /// Everything is static in the first frames.
+    pub bootstrap_frames: u32,
+    /// Keypoints this near to what a given mask says moves are not used, px; the photometric loss
+    /// keeps as far from every mask.
+    pub dilate_px: usize,
+    /// A keypoint this near to a pixel that was found to move is not used, px: its descriptor and
+    /// its depth reach across the edge.
+    pub reach_px: usize,
+    /// Probability of being static that a sample keeps if every witness agrees with it, the oldest of
+    /// them from just now, ...
+    pub trust_young: f64,
+    /// ... or from `settle_frames` ago and more.
+    pub trust_old: f64,
+    /// See `trust_old`.
+    pub settle_frames: u32,
+    /// The same for a sample that no witness knows.
+    pub trust_unknown: f64,
+    /// Keyframes of the last so many frames are asked what was there before.
+    pub memory_frames: u32,
+    /// One sample of the picture every so many pixels, each way.
+    pub step_px: usize,
+    /// Noise of the depth camera, with room for registration and pose.
+    pub noise: DepthNoise,
+    /// A depth residual above this makes a suspect, standard deviations.
+    pub suspect_sigmas: f64,
+    /// If more than this share of the judged samples is suspect, the pose is: nothing is labelled.
+    pub max_moving: f64,
+    /// Samples whose depth differs by more than this share belong to another thing, when the mask is
+    /// filled in between them.
+    pub edge_ratio: f64,
+    /// Runs of the field before what moves is dropped (eq. 7).
+    pub window: LabelWindowConfig,
+}
+
+impl Default for LabelConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            bootstrap_frames: 10,
+            dilate_px: 8,
+            reach_px: 8,
+            trust_young: 0.55,
+            trust_old: 0.97,
+            settle_frames: 45,
+            trust_unknown: 0.55,
+            memory_frames: 90,
+            step_px: 16,
+            noise: DepthNoise {
+                per_m: 3e-3,
+                floor_m: 0.01,
+            },
+            suspect_sigmas: 3.0,
+            max_moving: 0.9,
+            edge_ratio: 0.04,
+            window: LabelWindowConfig::default(),
+        }
+    }
+}
+
+/// The flow check of suspects (paper sec. III-B).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FlowCheckConfig {
+    /// Off (`--without flow`): suspects stay suspects.
+    pub enabled: bool,
+    /// Flow as measured (the paper to the letter), or what is left after taking off what the
+    /// camera's motion does at the measured depth.
+    pub model: FlowModelKind,
+    /// How mean and covariance of the static flow are found.
+    pub estimator: FlowEstimatorKind,
+    /// Added to both variances, px².
+    pub covariance_floor_px2: f64,
+    /// Static points a model needs.
+    pub min_support: usize,
+    /// χ² with two degrees of freedom.
+    pub chi2: f64,
+}
+
+/// See [`FlowCheckConfig::model`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FlowModelKind {
+    /// As measured.
+    Raw,
+    /// Without what the camera's motion explains.
+    #[default]
+    Residual,
+}
+
+/// See [`garad_features::flow::FlowEstimator`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FlowEstimatorKind {
+    /// Plain mean and covariance: the paper.
+    Moments,
+    /// Median and median absolute deviation.
+    MedianMad,
+    /// Moments of what lies within 95 % of those.
+    #[default]
+    Trimmed,
+}
+
+impl Default for FlowCheckConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            model: FlowModelKind::Residual,
+            estimator: FlowEstimatorKind::Trimmed,
+            covariance_floor_px2: 0.04,
+            min_support: 10,
+            chi2: garad_features::flow::CHI2_2DOF_95,
+        }
+    }
+}
+
+impl FlowCheckConfig {
+    /// As the check wants it.
+    #[must_use]
+    pub fn check(&self) -> FlowConfig {
+        FlowConfig {
+            form: match self.model {
+                FlowModelKind::Raw => FlowForm::Raw,
+                FlowModelKind::Residual => FlowForm::Residual,
+            },
+            estimator: match self.estimator {
+                FlowEstimatorKind::Moments => FlowEstimator::Moments,
+                FlowEstimatorKind::MedianMad => FlowEstimator::MedianMad,
+                FlowEstimatorKind::Trimmed => FlowEstimator::Trimmed,
+            },
+            covariance_floor_px2: self.covariance_floor_px2,
+            min_support: self.min_support,
+            chi2: self.chi2,
+        }
+    }
+}

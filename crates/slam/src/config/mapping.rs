@@ -1,0 +1,179 @@
+//! The map of Gaussians: insertion, training, growth, schedule.
+
+use serde::{Deserialize, Serialize};
+
+/// Gaussians seeded from a keyframe's depth.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SeedConfig {
+    /// Off: no map is drawn.
+    pub enabled: bool,
+    /// One candidate every so many pixels, each way.
+    pub stride_px: usize,
+    /// Standard deviation as a multiple of the candidate's footprint `stride * z / f`.
+    pub footprint: f64,
+    /// Opacity of a new Gaussian.
+    pub opacity: f64,
+    /// Pixels whose rendered opacity is lower are not yet explained.
+    pub explained_opacity: f64,
+    /// Nor are pixels whose surface lies in front of the rendered one by more than this share.
+    pub depth_ratio: f64,
+    /// A Gaussian for each new landmark, too, tagged with it.
+    pub landmarks: bool,
+    /// Gaussians at most.
+    pub max_gaussians: usize,
+}
+
+impl Default for SeedConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            stride_px: 4,
+            footprint: 0.6,
+            opacity: 0.9,
+            explained_opacity: 0.6,
+            depth_ratio: 0.05,
+            landmarks: true,
+            max_gaussians: 400_000,
+        }
+    }
+}
+
+/// How the map learns the pictures (paper eq. 12, 13, 16).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Iterations for each new keyframe, while tracking goes on.
+    pub per_keyframe: usize,
+    /// Further iterations for each frame since the keyframe before.
+    pub per_frame: usize,
+    /// Iterations after the last frame.
+    pub refine: usize,
+    /// Uses of a keyframe at 1/4 and again at 1/2 of its size, before it is used whole.
+    pub uses_per_level: usize,
+    /// Weight of the photometric loss (eq. 12).
+    pub lambda_photometric: f64,
+    /// Weight of the penalty on dynamic Gaussians (eq. 12).
+    pub lambda_dynamic: f64,
+    /// Share of 1 - SSIM in the photometric loss (eq. 13).
+    pub lambda_ssim: f64,
+    /// Weight of the depth error, 1/m. The paper has no such term: 0 is its loss. Without it white
+    /// walls drift towards the camera (decision 006).
+    pub lambda_depth: f64,
+    /// Who takes the steps.
+    pub optimiser: Optimiser,
+    /// Degree that the colours' spherical harmonics may reach, 0 to 3, ...
+    pub sh_degree: usize,
+    /// ... one more every so many iterations; 0: at once.
+    pub sh_every: usize,
+    /// Step sizes.
+    pub rates: RateConfig,
+}
+
+/// The paper says "SGD" in its text; its code base and everything built on it uses Adam.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Optimiser {
+    /// Adam with the moments of 3D Gaussian Splatting.
+    #[default]
+    Adam,
+    /// Plain gradient descent with the same step sizes (a rate per group, that of its first
+    /// column).
+    Sgd,
+}
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        Self {
+            per_keyframe: 6,
+            per_frame: 1,
+            refine: 0,
+            uses_per_level: 8,
+            lambda_photometric: 0.8,
+            lambda_dynamic: 0.2,
+            lambda_ssim: 0.2,
+            lambda_depth: 0.2,
+            optimiser: Optimiser::Adam,
+            sh_degree: 3,
+            sh_every: 1000,
+            rates: RateConfig::default(),
+        }
+    }
+}
+
+/// Where Gaussians are added and dropped while the map learns (Kerbl et al. 2023).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DensifyConfig {
+    /// Off: only insertion adds Gaussians, only the end drops them.
+    pub enabled: bool,
+    /// Once in so many iterations.
+    pub every: usize,
+    /// Mean |∂L/∂ centre| from which a Gaussian is cloned or split, per unit of NDC.
+    pub pull: f64,
+    /// Those with a standard deviation above this share of the path's extent are split.
+    pub split_extent: f64,
+    /// Static Gaussians less opaque than this are dropped.
+    pub min_opacity: f64,
+    /// Gaussians at most, clones and children included.
+    pub max_gaussians: usize,
+}
+
+impl Default for DensifyConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            every: 100,
+            pull: 1e-3,
+            split_extent: 0.01,
+            min_opacity: 0.005,
+            max_gaussians: 400_000,
+        }
+    }
+}
+
+/// Mapping beside tracking, on a schedule of frame numbers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ScheduleConfig {
+    /// A keyframe's mapping is handed over to tracking this many frames later, neither sooner nor
+    /// later, whatever the machine: tracking waits if it has to.
+    pub handover_frames: u32,
+}
+
+impl Default for ScheduleConfig {
+    fn default() -> Self {
+        Self { handover_frames: 5 }
+    }
+}
+
+/// Step sizes per kind of parameter, those of 3D Gaussian Splatting.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RateConfig {
+    /// Means, times the extent of the camera's path (1.1 times its radius, at least a metre).
+    pub mean: f64,
+    /// Log-scales.
+    pub log_scale: f64,
+    /// Quaternions.
+    pub quaternion: f64,
+    /// Opacity logits.
+    pub opacity_logit: f64,
+    /// Spherical harmonics of degree 0.
+    pub sh: f64,
+    /// The same divided by this: those of higher degrees.
+    pub sh_rest_divisor: f64,
+}
+
+impl Default for RateConfig {
+    fn default() -> Self {
+        Self {
+            mean: 3.2e-4,
+            log_scale: 0.005,
+            quaternion: 0.001,
+            opacity_logit: 0.05,
+            sh: 2.5e-3,
+            sh_rest_divisor: 20.0,
+        }
+    }
+}
