@@ -28,6 +28,7 @@ pub mod recover;
 pub mod refine;
 pub mod schedule;
 pub mod system;
+pub mod trace;
 pub mod tracker;
 
 pub use config::{Config, ConfigError};

@@ -84,6 +84,7 @@ impl Slam {
             }
             points.push(landmark.p_world);
         }
+        let before = self.tape.is_on().then(|| (poses.clone(), points.clone()));
         let bundle = BundleConfig {
             iterations,
             ..BundleConfig::default()
@@ -100,6 +101,12 @@ impl Slam {
         let Ok(report) = result else {
             return; // the poses and landmarks of before stay
         };
+        if let Some((poses_before, points_before)) = before {
+            self.tape.put("bundle", |page| {
+                page.bundle_in(&poses_before, &is_fixed, &points_before, &observations);
+                page.bundle_out(&poses, &points, &report);
+            });
+        }
         for (keyframe, pose) in free.iter().zip(&poses) {
             self.map.keyframe_mut(*keyframe).camera_from_world = *pose;
         }

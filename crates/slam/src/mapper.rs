@@ -16,6 +16,8 @@ pub mod relabel;
 pub mod train;
 pub mod view;
 
+use std::ops::RangeInclusive;
+
 use garad_core::{
     Camera, DepthImage, FrameId, GaussianMap, KeyframeId, Label, LandmarkId, MaskImage, Par,
     RgbImage, Se3,
@@ -30,6 +32,7 @@ use crate::config::Config;
 use crate::labels::witness::Witness;
 use crate::observer::{Observer, Stage};
 use crate::system::SlamError;
+use crate::trace::TraceRecord;
 
 /// A keyframe, for the mapper.
 #[derive(Debug, Clone)]
@@ -126,8 +129,21 @@ impl Mapper {
         &self.gaussians
     }
 
+    /// Writes down what the jobs of these frames do.
+    pub(crate) fn watch(&mut self, frames: RangeInclusive<u32>) {
+        self.trainer.tape.watch(frames);
+    }
+
+    pub(crate) fn take_trace(&mut self) -> Vec<TraceRecord> {
+        self.trainer.tape.take()
+    }
+
     /// Labels what the keyframe sees, inserts what it shows anew, and trains.
     pub fn run(&mut self, job: MappingJob, observer: &mut dyn Observer) -> MappingDone {
+        self.trainer.tape.turn_to(job.frame);
+        self.trainer
+            .tape
+            .put("map_before", |page| page.gaussians(&self.gaussians));
         self.poses = job.poses.clone();
         follow::follow(&mut self.gaussians, &job.moved);
         observer.begin(Stage::Relabel);
@@ -137,6 +153,9 @@ impl Mapper {
         observer.begin(Stage::Insert);
         self.insert(&job);
         observer.end(Stage::Insert);
+        self.trainer
+            .tape
+            .put("insert", |page| page.gaussians(&self.gaussians));
         let mut done = MappingDone {
             keyframe: job.keyframe,
             frame: job.frame,
@@ -174,6 +193,9 @@ impl Mapper {
                 }
             }
         }
+        self.trainer
+            .tape
+            .put("map_after", |page| page.gaussians(&self.gaussians));
         let labels = self.gaussians.label.iter();
         done.dynamic = labels.filter(|l| **l == Label::Dynamic).count();
         done.gaussians = self.gaussians.len();

@@ -43,6 +43,9 @@ impl Slam {
             // Pictures of one camera have one size: the answer is never an error.
             let tracks = lk::track(from, pyramid, &points, Some(&starts), &lk_config, self.par)
                 .unwrap_or_default();
+            self.tape.put("refine", |page| {
+                page.tracks([from, pyramid], [&points, &starts], &tracks);
+            });
             for ((i, _, start), track) in tasks.iter().zip(&tracks) {
                 let off = (track.xy[0] - start[0])
                     .abs()

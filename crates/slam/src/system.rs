@@ -1,6 +1,7 @@
 //! [`Slam`]: the state of a run and the order of stages.
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use garad_core::{
@@ -21,6 +22,7 @@ use crate::mapper::train::{TrainError, TrainStep};
 use crate::mapper::{Mapper, MappingDone};
 use crate::observer::{Observer, Stage};
 use crate::schedule::{MappingObserver, Schedule};
+use crate::trace::{Tape, TraceRecord};
 use crate::tracker::TrackingState;
 
 /// One picture of the recording.
@@ -140,6 +142,7 @@ pub struct Slam {
     recovered_at: Option<FrameId>,
     next_frame: FrameId,
     records: Vec<Record>,
+    pub(crate) tape: Tape,
     pub(crate) par: Par,
 }
 
@@ -215,6 +218,7 @@ impl Slam {
             recovered_at: None,
             next_frame: FrameId(0),
             records: Vec::new(),
+            tape: Tape::default(),
             par,
         })
     }
@@ -225,6 +229,31 @@ impl Slam {
     pub fn with_mapping_observer(mut self, observer: MappingObserver) -> Self {
         self.schedule.observe(observer);
         self
+    }
+
+    /// Writes down what goes into and comes out of every stage of these frames. To be called before
+    /// the first frame. Nothing of the result changes.
+    #[must_use]
+    pub fn with_trace(mut self, frames: RangeInclusive<u32>) -> Self {
+        if let Some(mapper) = self.schedule.mapper_mut() {
+            mapper.watch(frames.clone());
+        }
+        self.tape.watch(frames);
+        self
+    }
+
+    /// The trace so far, tracking and mapping of each frame together, in the order of the data. What
+    /// the mapper wrote is missing while it is under way: call [`Slam::finish`] before.
+    pub fn take_trace(&mut self) -> Vec<TraceRecord> {
+        let mut records = self.tape.take();
+        records.extend(
+            self.schedule
+                .mapper_mut()
+                .map(Mapper::take_trace)
+                .unwrap_or_default(),
+        );
+        records.sort_by_key(|record| record.frame); // stable
+        records
     }
 
     /// Takes the next frame through tracking and, if it is kept, starts its mapping. Mapping jobs
@@ -244,6 +273,7 @@ impl Slam {
         let id = self.next_frame;
         self.next_frame = FrameId(id.0 + 1);
         self.check_sizes(id, input)?;
+        self.tape.turn_to(id);
         while self.schedule.is_due(id) {
             observer.begin(Stage::Handover);
             let taken = self.take_over();
@@ -272,6 +302,11 @@ impl Slam {
             &self.levels,
             &self.config,
         );
+        self.tape.put("input", |page| page.input(input));
+        let (scale, levels) = (self.config.features.scale, self.config.features.levels);
+        self.tape
+            .put("orb", |page| page.orb(&gray, scale, levels, &frame));
+        self.tape.put("keypoints", |page| page.keypoints(&frame));
 
         let mut cells = None;
         let inliers = match self.state {
@@ -303,7 +338,10 @@ impl Slam {
         if self.state == TrackingState::Tracking {
             // Before any adjustment: both poses of the difference stand on the same map.
             self.velocity = self.velocity_to(&frame);
-            if self.map.keyframes().is_empty() || self.needs_keyframe(&frame, inliers) {
+            let kept = self.map.keyframes().is_empty() || self.needs_keyframe(&frame, inliers);
+            self.tape
+                .put("keyframe", |page| page.decision(inliers, &frame, kept));
+            if kept {
                 let keyframe = self.keep(frame.clone(), input, cells, observer)?;
                 report.keyframe = Some(keyframe);
                 self.remember_picture(keyframe, pyramid.clone());
@@ -317,6 +355,8 @@ impl Slam {
                 frame_from_reference: frame.camera_from_world
                     * reference.camera_from_world.inverse(),
             });
+            self.tape
+                .put("trajectory", |page| page.trajectory(&frame, &self.map));
             report.camera_from_world = Some(frame.camera_from_world);
             self.last = Some(frame);
             self.last_pyramid = pyramid;

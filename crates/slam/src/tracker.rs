@@ -56,6 +56,9 @@ impl Slam {
         };
         let config = &self.config.tracking;
         let predicted = velocity * last.camera_from_world;
+        self.tape.put("predict", |page| {
+            page.predict(&last.camera_from_world, &velocity, &predicted);
+        });
         for factor in [1.0, 2.0] {
             frame.camera_from_world = predicted;
             frame.landmark.fill(None);
@@ -63,6 +66,7 @@ impl Slam {
             let matches = self
                 .matcher()
                 .from_last_frame(&self.map, last, frame, radius);
+            self.tape.put("match_motion", |page| page.links(frame));
             if matches >= config.motion_min_matches {
                 return self.optimise(frame) >= config.motion_min_inliers;
             }
@@ -79,6 +83,7 @@ impl Slam {
         frame.landmark.fill(None);
         let reference = self.map.keyframe(self.reference);
         let matches = self.matcher().from_keyframe(&self.map, reference, frame);
+        self.tape.put("match_reference", |page| page.links(frame));
         matches >= config.reference_min_matches && self.optimise(frame) >= config.motion_min_inliers
     }
 
@@ -137,6 +142,10 @@ impl Slam {
             }
         }
         self.matcher().from_local_map(&self.map, &visible, frame);
+        self.tape.put("match_local_map", |page| {
+            page.local_map(&visible);
+            page.links(frame);
+        });
         let mut inliers = self.optimise(frame);
         if let Some(pyramid) = pyramid
             && inliers > 0
@@ -178,6 +187,10 @@ impl Slam {
         );
         match solution {
             Ok(solution) if solution.camera_from_world.is_finite() => {
+                self.tape.put("pose", |page| {
+                    let before = &frame.camera_from_world;
+                    page.pose_lm(&keypoints, &observations, before, &solution);
+                });
                 frame.camera_from_world = solution.camera_from_world;
                 for (&i, inlier) in keypoints.iter().zip(&solution.inlier) {
                     if !inlier {

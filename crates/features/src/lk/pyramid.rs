@@ -73,6 +73,16 @@ impl LkPyramid {
         (self.levels[0].width, self.levels[0].height)
     }
 
+    /// The full picture again.
+    #[must_use]
+    pub fn image(&self) -> GrayImage {
+        let level = &self.levels[0];
+        let at = |x: usize, y: usize| level.pairs[(y + PAD) * level.stride + x + PAD][0];
+        GrayImage::from_fn(level.width, level.height, |x, y| {
+            u8::try_from(at(x, y)).unwrap_or_default()
+        })
+    }
+
     pub(super) fn level(&self, level: usize) -> &LkLevel {
         &self.levels[level]
     }

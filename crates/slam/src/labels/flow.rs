@@ -68,6 +68,9 @@ impl Slam {
         ) else {
             return 0;
         };
+        self.tape.put("flow_lk", |page| {
+            page.tracks([pyramid, before], [&points, &starts], &tracks);
+        });
         let flow = |k: usize| {
             let from = Vector2::from(points[k].map(f64::from));
             tracks[k].is_tracked().then(|| FlowPoint {
@@ -82,6 +85,8 @@ impl Slam {
         let Ok(answer) = verify_flow(&model, &flows, &config.check()) else {
             return 0;
         };
+        self.tape
+            .put("flow", |page| page.flow(&model, &flows, &answer));
         let (mut label, mut in_use) = (frame.label.clone(), frame.in_use.clone());
         let mut recovered = 0;
         for (i, verdict) in asked.into_iter().zip(answer.verdicts) {

@@ -144,6 +144,9 @@ impl Slam {
         // Numbers come from depths and poses that are finite: the answer is never an error.
         let beliefs = self.crf.infer_from_log_odds(&nodes, &log_odds, self.par);
         let beliefs = beliefs.ok()?;
+        self.tape.put("label", |page| {
+            page.field(&nodes, &verdicts, &log_odds, &beliefs);
+        });
 
         let (of_keypoints, of_lattice) = beliefs.dynamic.split_at(keypoints.len());
         let cells = self.cells(&lattice, of_lattice, depth);
@@ -162,6 +165,8 @@ impl Slam {
             .map(|(px, label)| *label == Label::Static && label_at(&near, px) == Label::Static);
         let in_use = in_use.collect();
         frame.set_labels(label, in_use, &self.camera);
+        self.tape
+            .put("masks", |page| page.labels(frame, Some(&cells)));
         Some(cells)
     }
 

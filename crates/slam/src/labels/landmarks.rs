@@ -53,6 +53,9 @@ impl Slam {
         let Ok(beliefs) = self.crf.infer(&nodes, self.par) else {
             return Vec::new(); // numbers that are not finite: the labels of before stay
         };
+        self.tape.put("label_map", |page| {
+            page.landmark_field(found.iter().map(|(id, _)| *id), &nodes, &beliefs);
+        });
         let mut changed = Vec::new();
         for ((id, _), label) in found.iter().zip(beliefs.labels) {
             let Some(landmark) = self.map.landmark_mut(*id) else {

@@ -16,6 +16,7 @@ use thiserror::Error;
 use super::densify::{Densifier, densify, faded};
 use super::view::TrainingView;
 use crate::config::{DensifyConfig, Optimiser, RateConfig, TrainConfig};
+use crate::trace::Tape;
 
 /// Rendered opacity from which a pixel's depth is judged.
 const DEPTH_MIN_OPACITY: f64 = 0.5;
@@ -34,6 +35,7 @@ pub struct Trainer {
     windows: Vec<LabelWindow>,
     densifier: Densifier,
     iterations: usize,
+    pub(super) tape: Tape,
 }
 
 /// One optimiser per kind of parameter.
@@ -125,6 +127,7 @@ impl Trainer {
             windows: Vec::new(),
             densifier: Densifier::default(),
             iterations: 0,
+            tape: Tape::default(),
         })
     }
 
@@ -213,6 +216,11 @@ impl Trainer {
                 *g += weight * p;
             }
         }
+        self.tape.put("train", |page| {
+            let target = (&target.color, target.depth.as_ref(), &target.excluded);
+            let drawn = (&rendered.color, &rendered.depth, &rendered.opacity);
+            page.training((keyframe.0, level), &pose, target, drawn, loss);
+        });
         self.update(map, &gradients, extent_m, config)?;
         self.iterations += 1;
         if let Some(grow) = grow {

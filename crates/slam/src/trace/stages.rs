@@ -1,0 +1,381 @@
+//! What each stage writes.
+
+use garad_core::pyramid::GrayPyramid;
+use garad_core::{DepthImage, GaussianMap, GrayImage, Image, Label, LandmarkId, Real, Se3};
+use garad_crf::{Beliefs, Node};
+use garad_features::flow::{FlowFit, FlowPoint, FlowVerification};
+use garad_features::{Descriptor, LkPyramid, LkTrack};
+use garad_optim::{BundleObservation, DepthObservation, PoseObservation, PoseSolution};
+use nalgebra::{Vector2, Vector3};
+
+use super::{NONE, Page, matrix};
+use crate::frame::Frame;
+use crate::labels::witness::Verdict;
+use crate::map::Map;
+use crate::system::FrameInput;
+
+fn id(landmark: Option<LandmarkId>) -> u32 {
+    landmark.map_or(NONE, |l| l.0)
+}
+
+fn pairs(points: &[Vector2<f64>]) -> Vec<f64> {
+    points.iter().flat_map(|p| [p.x, p.y]).collect()
+}
+
+fn triples(points: impl IntoIterator<Item = Vector3<f64>>) -> Vec<f64> {
+    points.into_iter().flat_map(|p| [p.x, p.y, p.z]).collect()
+}
+
+fn flags(values: impl IntoIterator<Item = bool>) -> Vec<u8> {
+    values.into_iter().map(u8::from).collect()
+}
+
+fn moving(labels: &[Label]) -> Vec<u8> {
+    flags(labels.iter().map(|l| *l == Label::Dynamic))
+}
+
+fn index(i: usize) -> u32 {
+    u32::try_from(i).unwrap_or(NONE)
+}
+
+/// Of the virtual right camera or of depth, what is measured and its σ; NaN without depth.
+fn third_rows(of: impl Iterator<Item = Option<DepthObservation>>) -> [Vec<f64>; 2] {
+    let (mut value, mut sigma) = (Vec::new(), Vec::new());
+    for depth in of {
+        let (v, s) = match depth {
+            None => (f64::NAN, f64::NAN),
+            Some(DepthObservation::Right { u_px, sigma_px }) => (u_px, sigma_px),
+            Some(DepthObservation::Disparity {
+                disparity_px,
+                sigma_px,
+            }) => (disparity_px, sigma_px),
+        };
+        value.push(v);
+        sigma.push(s);
+    }
+    [value, sigma]
+}
+
+impl Page {
+    fn pose(&mut self, made: bool, name: &str, pose: &Se3) {
+        let (row, unit) = (matrix(pose), "R | t in m");
+        match made {
+            true => self.makes(name, unit, &[4], row),
+            false => self.takes(name, unit, &[4], row),
+        }
+    }
+
+    pub(crate) fn picture<T: Clone>(&mut self, name: &str, unit: &'static str, of: &Image<T>)
+    where
+        super::Values: From<Vec<T>>,
+    {
+        self.takes(name, unit, &[of.width()], of.data().to_vec());
+    }
+
+    pub(crate) fn input(&mut self, input: &FrameInput<'_>) {
+        let rgb = input.rgb.data().as_flattened().to_vec();
+        self.takes("t_s", "s", &[], vec![input.t_s]);
+        self.takes("rgb", "1", &[input.rgb.width(), 3], rgb);
+        self.picture("depth_m", "m", input.depth);
+        if let Some(mask) = input.mask {
+            self.picture("mask", "1", mask);
+        }
+    }
+
+    /// Grey, the pyramid of the extractor (made again for the trace), keypoints.
+    pub(crate) fn orb(&mut self, gray: &GrayImage, scale: f64, levels: usize, frame: &Frame) {
+        let scale = Real::to_f32(scale);
+        self.makes("gray", "1", &[gray.width()], gray.data().to_vec());
+        let pyramid = GrayPyramid::scaled(gray.clone(), scale, levels);
+        for (l, level) in pyramid.levels().iter().enumerate().skip(1) {
+            let name = format!("level_{l}");
+            self.makes(name, "1", &[level.width()], level.data().to_vec());
+        }
+        let keypoints = &frame.keypoints;
+        let xy: Vec<f32> = keypoints.iter().flat_map(|k| [k.x, k.y]).collect();
+        let level: Vec<u8> = keypoints.iter().map(|k| k.level).collect();
+        let angle: Vec<f32> = keypoints.iter().map(|k| k.angle_deg).collect();
+        let response: Vec<f32> = keypoints.iter().map(|k| k.response).collect();
+        let descriptors = frame.descriptors.iter().flat_map(Descriptor::to_bytes);
+        self.makes("xy", "px", &[2], xy);
+        self.makes("level", "1", &[], level);
+        self.makes("angle_deg", "deg", &[], angle);
+        self.makes("response", "1", &[], response);
+        self.makes("descriptor", "1", &[32], descriptors.collect::<Vec<u8>>());
+    }
+
+    /// Keypoints in the full picture, with what their depth says.
+    pub(crate) fn keypoints(&mut self, frame: &Frame) {
+        let depth = frame.depth_m.iter().map(|d| d.unwrap_or(f64::NAN));
+        self.makes("px", "px", &[2], pairs(&frame.px));
+        self.makes("uv_px", "px", &[2], pairs(&frame.uv_px));
+        self.makes("sigma_px", "px", &[], frame.sigma_px.clone());
+        self.makes("depth_m", "m", &[], depth.collect::<Vec<_>>());
+        let one = flags(frame.one_surface.iter().copied());
+        self.makes("one_surface", "1", &[], one);
+        let in_use = flags(frame.in_use.iter().copied());
+        self.makes("in_use", "1", &[], in_use);
+    }
+
+    pub(crate) fn predict(&mut self, last: &Se3, velocity: &Se3, predicted: &Se3) {
+        self.pose(false, "last", last);
+        self.pose(false, "velocity", velocity);
+        self.pose(true, "predicted", predicted);
+    }
+
+    /// Which keypoint was linked to which landmark.
+    pub(crate) fn links(&mut self, frame: &Frame) {
+        let links: Vec<u32> = frame.landmark.iter().map(|l| id(*l)).collect();
+        self.makes("landmark", "1", &[], links);
+    }
+
+    /// The landmarks searched for, and what was found.
+    pub(crate) fn local_map(&mut self, visible: &[(LandmarkId, crate::map::Appearance)]) {
+        let ids: Vec<u32> = visible.iter().map(|(l, _)| l.0).collect();
+        let uv: Vec<f64> = visible
+            .iter()
+            .flat_map(|(_, a)| [a.uv_px.x, a.uv_px.y])
+            .collect();
+        let level: Vec<u32> = visible.iter().map(|(_, a)| index(a.level)).collect();
+        self.takes("visible", "1", &[], ids);
+        self.takes("visible_uv_px", "px", &[2], uv);
+        self.takes("visible_level", "1", &[], level);
+    }
+
+    /// A pose from points; `keypoints[k]` is the one behind observation k.
+    pub(crate) fn pose_lm(
+        &mut self,
+        keypoints: &[usize],
+        observations: &[PoseObservation],
+        before: &Se3,
+        solution: &PoseSolution,
+    ) {
+        let seen = observations.iter();
+        let at: Vec<u32> = keypoints.iter().map(|k| index(*k)).collect();
+        let [right, right_sigma] = third_rows(seen.clone().map(|o| o.depth));
+        let uv: Vec<Vector2<f64>> = seen.clone().map(|o| o.uv_px).collect();
+        let sigma: Vec<f64> = seen.clone().map(|o| o.sigma_px).collect();
+        self.takes("keypoint", "1", &[], at);
+        self.takes("p_world", "m", &[3], triples(seen.map(|o| o.p_world)));
+        self.takes("uv_px", "px", &[2], pairs(&uv));
+        self.takes("sigma_px", "px", &[], sigma);
+        self.takes("third_px", "px", &[], right);
+        self.takes("third_sigma_px", "px", &[], right_sigma);
+        self.pose(false, "before", before);
+        self.pose(true, "after", &solution.camera_from_world);
+        let inlier = flags(solution.inlier.iter().copied());
+        self.makes("inlier", "1", &[], inlier);
+        self.makes("cost", "1", &[], vec![solution.cost]);
+    }
+
+    /// The field over a frame's samples: keypoints with depth first, then the lattice.
+    pub(crate) fn field(
+        &mut self,
+        nodes: &[Node],
+        verdicts: &[Verdict],
+        log_odds: &[f64],
+        beliefs: &Beliefs,
+    ) {
+        let px: Vec<_> = nodes.iter().map(|n| n.uv_px.unwrap_or_default()).collect();
+        let residual = verdicts.iter().map(|v| v.residual.unwrap_or(f64::NAN));
+        let agreed: Vec<u32> = verdicts.iter().map(|v| v.agreed_for).collect();
+        let points = triples(nodes.iter().map(|n| n.p_world));
+        self.takes("p_world", "m", &[3], points);
+        self.takes("px", "px", &[2], pairs(&px));
+        self.takes("depth_residual", "sigma", &[], residual.collect::<Vec<_>>());
+        self.takes("agreed_for", "frames", &[], agreed);
+        self.makes("log_odds", "nat", &[], log_odds.to_vec());
+        self.makes("belief", "1", &[], beliefs.dynamic.clone());
+    }
+
+    pub(crate) fn labels(&mut self, frame: &Frame, cells: Option<&GrayImage>) {
+        if let Some(cells) = cells {
+            self.makes("cells", "1", &[cells.width()], cells.data().to_vec());
+        }
+        self.makes("label", "1", &[], moving(&frame.label));
+        let in_use = flags(frame.in_use.iter().copied());
+        self.makes("in_use", "1", &[], in_use);
+    }
+
+    /// The flow model of static points and what it says of the suspects.
+    pub(crate) fn flow(
+        &mut self,
+        model: &[FlowPoint],
+        suspects: &[FlowPoint],
+        answer: &FlowVerification,
+    ) {
+        for (name, points) in [("static", model), ("suspect", suspects)] {
+            let flow: Vec<_> = points.iter().map(|p| p.flow).collect();
+            let nan = Vector2::repeat(f64::NAN);
+            let predicted: Vec<_> = points.iter().map(|p| p.predicted.unwrap_or(nan)).collect();
+            self.takes(format!("{name}_flow"), "px", &[2], pairs(&flow));
+            self.takes(format!("{name}_predicted"), "px", &[2], pairs(&predicted));
+        }
+        if let FlowFit::Model(fit) = &answer.fit {
+            let covariance = fit.covariance.transpose().as_slice().to_vec();
+            self.makes("mean", "px", &[], vec![fit.mean.x, fit.mean.y]);
+            self.makes("covariance", "px^2", &[2], covariance);
+        }
+        let verdicts = answer.verdicts.iter();
+        let distance = verdicts
+            .clone()
+            .map(|v| v.map_or(f64::NAN, |v| v.distance2));
+        self.makes("distance2", "1", &[], distance.collect::<Vec<_>>());
+        let inside = flags(verdicts.map(|v| v.is_some_and(|v| v.inside)));
+        self.makes("inside", "1", &[], inside);
+    }
+
+    /// Points of one picture followed into another.
+    pub(crate) fn tracks(
+        &mut self,
+        [from, to]: [&LkPyramid; 2],
+        [points, starts]: [&[[f32; 2]]; 2],
+        tracks: &[LkTrack],
+    ) {
+        self.picture("from", "1", &from.image());
+        self.picture("to", "1", &to.image());
+        self.takes("points", "px", &[2], points.as_flattened().to_vec());
+        self.takes("starts", "px", &[2], starts.as_flattened().to_vec());
+        let xy: Vec<f32> = tracks.iter().flat_map(|t| t.xy).collect();
+        self.makes("xy", "px", &[2], xy);
+        let tracked = flags(tracks.iter().map(LkTrack::is_tracked));
+        self.makes("tracked", "1", &[], tracked);
+        let residual: Vec<f32> = tracks.iter().map(|t| t.residual).collect();
+        self.makes("residual", "1", &[], residual);
+    }
+
+    /// Whether the frame is kept.
+    pub(crate) fn decision(&mut self, inliers: usize, frame: &Frame, kept: bool) {
+        let linked = frame.landmark.iter().flatten().count();
+        self.takes("inliers", "1", &[], vec![index(inliers)]);
+        self.takes("linked", "1", &[], vec![index(linked)]);
+        self.makes("kept", "1", &[], vec![u8::from(kept)]);
+    }
+
+    /// A keyframe's landmarks through the field, with the paper's cues.
+    pub(crate) fn landmark_field(
+        &mut self,
+        ids: impl Iterator<Item = LandmarkId>,
+        nodes: &[Node],
+        beliefs: &Beliefs,
+    ) {
+        let uv: Vec<_> = nodes.iter().map(|n| n.uv_px.unwrap_or_default()).collect();
+        let nan = f64::NAN;
+        let cues = nodes.iter().flat_map(|n| {
+            [
+                n.cues.reproj_px.unwrap_or(nan),
+                n.cues.depth_residual.unwrap_or(nan),
+                n.cues.observations.map_or(nan, f64::from),
+                n.cues.epipolar_px.unwrap_or(nan),
+            ]
+        });
+        let previous = nodes.iter().map(|n| n.previous.unwrap_or(nan));
+        self.takes("landmark", "1", &[], ids.map(|l| l.0).collect::<Vec<_>>());
+        let points = triples(nodes.iter().map(|n| n.p_world));
+        self.takes("p_world", "m", &[3], points);
+        self.takes("uv_px", "px", &[2], pairs(&uv));
+        self.takes("cues", "px, sigma, 1, px", &[4], cues.collect::<Vec<_>>());
+        self.takes("previous", "1", &[], previous.collect::<Vec<_>>());
+        self.makes("belief", "1", &[], beliefs.dynamic.clone());
+        self.makes("label", "1", &[], moving(&beliefs.labels));
+    }
+
+    /// What a bundle adjustment is given.
+    pub(crate) fn bundle_in(
+        &mut self,
+        poses: &[Se3],
+        fixed: &[bool],
+        points: &[Vector3<f64>],
+        observations: &[BundleObservation],
+    ) {
+        let seen = observations.iter();
+        let [third, third_sigma] = third_rows(seen.clone().map(|o| o.depth));
+        let of: Vec<u32> = seen
+            .clone()
+            .flat_map(|o| [index(o.pose), index(o.point)])
+            .collect();
+        let uv: Vec<_> = seen.clone().map(|o| o.uv_px).collect();
+        let sigma: Vec<f64> = seen.map(|o| o.sigma_px).collect();
+        let rows: Vec<f64> = poses.iter().flat_map(matrix).collect();
+        self.takes("poses_before", "R | t in m", &[3, 4], rows);
+        self.takes("fixed", "1", &[], flags(fixed.iter().copied()));
+        let points = triples(points.iter().copied());
+        self.takes("points_before", "m", &[3], points);
+        self.takes("observation", "pose, point", &[2], of);
+        self.takes("uv_px", "px", &[2], pairs(&uv));
+        self.takes("sigma_px", "px", &[], sigma);
+        self.takes("third_px", "px", &[], third);
+        self.takes("third_sigma_px", "px", &[], third_sigma);
+    }
+
+    pub(crate) fn bundle_out(
+        &mut self,
+        poses: &[Se3],
+        points: &[Vector3<f64>],
+        report: &garad_optim::BundleReport,
+    ) {
+        let rows: Vec<f64> = poses.iter().flat_map(matrix).collect();
+        self.makes("poses_after", "R | t in m", &[3, 4], rows);
+        let points = triples(points.iter().copied());
+        self.makes("points_after", "m", &[3], points);
+        let inlier = flags(report.inlier.iter().copied());
+        self.makes("inlier", "1", &[], inlier);
+        let cost = vec![report.report.cost0, report.report.cost];
+        self.makes("cost", "1", &[], cost);
+    }
+
+    /// Where the frame stands in the end, and the landmarks it sees.
+    pub(crate) fn trajectory(&mut self, frame: &Frame, map: &Map) {
+        self.pose(true, "camera_from_world", &frame.camera_from_world);
+        let linked = frame.landmark.iter().flatten();
+        let living: Vec<_> = linked
+            .filter_map(|l| Some((*l, map.landmark(*l)?)))
+            .collect();
+        let ids: Vec<u32> = living.iter().map(|(l, _)| l.0).collect();
+        self.makes("landmark", "1", &[], ids);
+        let points = triples(living.iter().map(|(_, l)| l.p_world));
+        self.makes("p_world", "m", &[3], points);
+    }
+
+    /// A map, with a prefix of `taken` or made.
+    pub(crate) fn gaussians(&mut self, map: &GaussianMap) {
+        let coefficients = map.coefficients();
+        let tags: Vec<u32> = map.landmark.iter().map(|l| id(*l)).collect();
+        self.makes("means", "m", &[3], map.means.as_flattened().to_vec());
+        let scales = map.log_scales.as_flattened().to_vec();
+        self.makes("log_scales", "ln m", &[3], scales);
+        let quaternions = map.quaternions.as_flattened().to_vec();
+        self.makes("quaternions", "w x y z", &[4], quaternions);
+        self.makes("opacity_logits", "1", &[], map.opacity_logits.clone());
+        let sh = map.sh.as_flattened().to_vec();
+        self.makes("sh", "1", &[coefficients, 3], sh);
+        self.makes("landmark", "1", &[], tags);
+        self.makes("label", "1", &[], moving(&map.label));
+    }
+
+    /// What one training iteration compares.
+    pub(crate) fn training(
+        &mut self,
+        (keyframe, level): (u32, usize),
+        pose: &Se3,
+        target: (&Image<[f32; 3]>, Option<&DepthImage>, &GrayImage),
+        drawn: (&Image<[f32; 3]>, &Image<f32>, &Image<f32>),
+        loss: f32,
+    ) {
+        let (color, depth, excluded) = target;
+        let flat = |i: &Image<[f32; 3]>| i.data().as_flattened().to_vec();
+        self.takes("keyframe", "1", &[], vec![keyframe]);
+        self.takes("level", "1", &[], vec![index(level)]);
+        self.pose(false, "camera_from_world", pose);
+        self.takes("target", "1", &[color.width(), 3], flat(color));
+        if let Some(depth) = depth {
+            self.picture("measured_m", "m", depth);
+        }
+        self.picture("excluded", "1", excluded);
+        let (color, depth, opacity) = drawn;
+        self.makes("color", "1", &[color.width(), 3], flat(color));
+        self.makes("depth_m", "m", &[depth.width()], depth.data().to_vec());
+        self.makes("opacity", "1", &[opacity.width()], opacity.data().to_vec());
+        self.makes("loss", "1", &[], vec![loss]);
+    }
+}
