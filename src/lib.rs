@@ -26,3 +26,4 @@ pub mod progress;
 pub mod render_quality;
 pub mod runner;
 pub mod stopwatch;
+pub mod trace;

@@ -33,6 +33,8 @@ enum Command {
     /// Check any implementation, in any language, against the golden cases.
     #[command(subcommand)]
     Golden(commands::golden::Command),
+    /// Write down the inputs and outputs of every stage of some frames, or compare two such traces.
+    Trace(commands::trace::Args),
 }
 
 /// Exit code of bad input or usage.
@@ -55,6 +57,10 @@ fn main() -> ExitCode {
         Command::Render(args) => commands::render::run(&args),
         Command::Synth(args) => commands::synth::run(&args),
         Command::Golden(command) => match commands::golden::run(&command) {
+            Ok(code) => return code,
+            Err(error) => Err(error),
+        },
+        Command::Trace(args) => match commands::trace::run(&args) {
             Ok(code) => return code,
             Err(error) => Err(error),
         },

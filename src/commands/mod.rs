@@ -8,6 +8,7 @@ pub(crate) mod golden;
 pub(crate) mod render;
 pub(crate) mod run;
 pub(crate) mod synth;
+pub(crate) mod trace;
 
 use std::io::{self, ErrorKind, Write as _};
 use std::path::{Path, PathBuf};

@@ -7,7 +7,7 @@
 //! Reading order: [`tensor`] (typed arrays) → [`npy`] (their files) → [`case`] (the folder) →
 //! [`tol`] (the one table of tolerances) → [`compare`](mod@compare) (one tensor) →
 //! [`judge`](mod@judge) (one case) → [`explain`](mod@explain) (which slip it is) → [`stages`] (which
-//! stage rests on which) → [`report`].
+//! stage rests on which) → [`report`]; [`trace`] (whole frames, stage by stage).
 //!
 //! # Example
 //! ```
@@ -29,6 +29,7 @@ pub mod report;
 pub mod stages;
 pub mod tensor;
 pub mod tol;
+pub mod trace;
 
 pub use case::Case;
 pub use compare::Comparison;

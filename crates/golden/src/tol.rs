@@ -198,6 +198,14 @@ pub const TABLE: &[Tolerance] = &[
     abs_rel("crf.q", 1e-13, 0.0, "a sum over 64 nodes may lose 7e-15; undecided nodes pass on a little more than they hear"),
     abs_rel("crf.f32.q", 2e-4, 0.0, "as crf.q: kernels in f32 lose 1e-6 per sum and pass it on"),
     abs_rel("crf.energy", 1e-14, 1e-15, "measured 4e-15: a sum of up to 2016 couplings"),
+    // trace: numbers that stand behind poses good to 1e-8 and places good to 1e-4 px
+    abs_rel("trace.residual", 1e-3, 1e-5, "1e-4 px and 1e-7 m over sigmas of 0.5 px and 3 mm"),
+    abs_rel("trace.belief", 1e-3, 0.0, "log-odds of such precision through ten iterations"),
+    vector("trace.flow", 1e-4, 1e-3, "as lk.xy; a covariance of some px, squared distances over it"),
+    abs_rel("trace.cost", 0.0, 1e-3, "a sum of squares of residuals of 1e-4 px more or less"),
+    Tolerance { name: "trace.map", class: Class::Banded { tight: 1e-4, share: 2e-2, hard: 0.5 }, reason: "Adam's step is +-rate wherever a gradient is rounding alone: such numbers part by a rate per iteration" },
+    Tolerance { name: "trace.picture", class: Class::Banded { tight: 1e-3, share: 2e-2, hard: 0.2 }, reason: "as raster.f32.flips, of a map good to 1e-4" },
+    abs_rel("trace.loss", 1e-4, 1e-3, "a mean over such a picture"),
     abs_rel("crf.score", 1e-15, 0.0, "a quotient of small whole numbers"),
 ];
 

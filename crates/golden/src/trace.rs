@@ -1,0 +1,219 @@
+//! Traces: the inputs and outputs of every stage over some frames, as `.npy` files with an index.
+//!
+//! ```text
+//! FOLDER/trace.json                 stage, frame, tensor, dtype, shape, unit, file; in the order of the data
+//! FOLDER/000010/pose_0/after.npy    frame / stage and its how many-th run in the frame / tensor
+//! ```
+//!
+//! [`diff`](diff::diff) compares two of them, or one with a folder of the same layout that a port
+//! has filled.
+
+pub mod diff;
+
+use std::fmt;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::GoldenError;
+use crate::manifest::read;
+use crate::npy;
+use crate::tensor::{Dtype, Tensor};
+use crate::tol::{self, Tolerance};
+
+/// Name of the index.
+pub const INDEX: &str = "trace.json";
+
+/// `trace.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Index {
+    /// 1.
+    pub schema: u32,
+    /// What was run: program, recording, frames, seed.
+    pub about: serde_json::Value,
+    /// The tensors in the order of the data: what differs first is where to look.
+    pub tensors: Vec<Entry>,
+}
+
+/// A tensor of the trace.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Entry {
+    /// Frame of the run, from 0.
+    pub frame: u32,
+    /// Stage.
+    pub stage: String,
+    /// A stage may run several times in a frame: which time, from 0.
+    pub call: usize,
+    /// Taken by the stage, or made by it.
+    pub role: Role,
+    /// Name within the stage.
+    pub tensor: String,
+    /// Element type as numpy names it.
+    pub dtype: String,
+    /// Sizes, slowest first.
+    pub shape: Vec<usize>,
+    /// Unit, `1` for none.
+    pub unit: String,
+    /// File, relative to the folder.
+    pub file: String,
+}
+
+/// On which side of a stage a tensor stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Role {
+    /// Taken.
+    Input,
+    /// Made.
+    Output,
+}
+
+impl Entry {
+    /// The path every trace has for this tensor: `FRAME/STAGE_CALL/TENSOR.npy`.
+    #[must_use]
+    pub fn path_of(frame: u32, stage: &str, call: usize, tensor: &str) -> String {
+        format!("{frame:06}/{stage}_{call}/{tensor}.npy")
+    }
+
+    /// Whether it is the same run of the same stage.
+    #[must_use]
+    pub fn same_run(&self, other: &Self) -> bool {
+        self.frame == other.frame && self.stage == other.stage && self.call == other.call
+    }
+}
+
+/// `frame 10, pose, run 0, after`
+impl fmt::Display for Entry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "frame {}, {}", self.frame, self.stage)?;
+        if self.call > 0 {
+            write!(f, ", run {}", self.call)?;
+        }
+        write!(f, ", {}", self.tensor)
+    }
+}
+
+impl Index {
+    /// Reads a folder's index.
+    ///
+    /// # Errors
+    /// [`GoldenError`] naming the file and what is wrong with it: the text, the schema, or a file
+    /// that lies outside of the folder.
+    pub fn load(folder: &Path) -> Result<Self, GoldenError> {
+        let path = folder.join(INDEX);
+        let index: Self =
+            serde_json::from_slice(&read(&path)?).map_err(|source| GoldenError::Json {
+                path: path.clone(),
+                source,
+            })?;
+        if index.schema != 1 {
+            let found = index.schema;
+            return Err(GoldenError::Schema { path, found });
+        }
+        for entry in &index.tensors {
+            let inside = |part: &str| !(part.is_empty() || part.starts_with('.'));
+            if entry.file.contains('\\') || !entry.file.split('/').all(inside) {
+                return Err(GoldenError::Tensor {
+                    path,
+                    tensor: entry.to_string(),
+                    problem: format!("file '{}' is not a plain path", entry.file),
+                });
+            }
+        }
+        Ok(index)
+    }
+}
+
+/// The numbers of a tensor; type and shape must be those the index states.
+///
+/// # Errors
+/// [`GoldenError`] naming the file and what is wrong with it.
+pub fn load_tensor(folder: &Path, entry: &Entry) -> Result<Tensor, GoldenError> {
+    let path = folder.join(&entry.file);
+    let tensor = read_npy(&path)?;
+    let stated = Dtype::from_name(&entry.dtype);
+    if (Some(tensor.dtype()), tensor.shape()) == (stated, &entry.shape[..]) {
+        return Ok(tensor);
+    }
+    let (dtype, shape) = (tensor.dtype().name(), tensor.shape());
+    let problem = format!(
+        "holds {dtype} {shape:?}, not {} {:?}",
+        entry.dtype, entry.shape
+    );
+    Err(GoldenError::Tensor {
+        path,
+        tensor: entry.to_string(),
+        problem,
+    })
+}
+
+/// A `.npy` file, whatever is in it.
+pub(crate) fn read_npy(path: &Path) -> Result<Tensor, GoldenError> {
+    npy::decode(&read(path)?).map_err(|source| GoldenError::Npy {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+/// Tolerances of the tensors that a correct port may have otherwise; all others are exact. Names are
+/// those of [`tol::TABLE`].
+#[rustfmt::skip]
+const TOLERANCES: &[(&str, &str, &str)] = &[
+    ("keypoints", "uv_px", "camera.undistorted"),
+    ("predict", "", "pose.pose"),
+    ("pose", "after", "pose.pose"), ("pose", "before", "pose.pose"), ("pose", "cost", "pose.cost"),
+    ("pose", "p_world", "bundle.points"), ("pose", "uv_px", "lk.xy"), ("pose", "third_px", "lk.xy"),
+    ("label", "p_world", "bundle.points"), ("label", "depth_residual", "trace.residual"),
+    ("label", "log_odds", "trace.residual"), ("label", "belief", "trace.belief"),
+    ("flow_lk", "starts", "lk.xy"), ("flow_lk", "xy", "lk.xy"), ("flow_lk", "residual", "lk.residual"),
+    ("flow", "", "trace.flow"), ("flow", "inside", "exact"),
+    ("match_local_map", "visible_uv_px", "lk.xy"),
+    ("refine", "points", "lk.xy"), ("refine", "starts", "lk.xy"), ("refine", "xy", "lk.xy"),
+    ("refine", "residual", "lk.residual"),
+    ("label_map", "p_world", "bundle.points"), ("label_map", "uv_px", "lk.xy"),
+    ("label_map", "cues", "trace.residual"), ("label_map", "belief", "trace.belief"),
+    ("bundle", "poses_before", "pose.pose"), ("bundle", "poses_after", "pose.pose"),
+    ("bundle", "points_before", "bundle.points"), ("bundle", "points_after", "bundle.points"),
+    ("bundle", "uv_px", "lk.xy"), ("bundle", "third_px", "lk.xy"), ("bundle", "cost", "trace.cost"),
+    ("trajectory", "camera_from_world", "pose.pose"), ("trajectory", "p_world", "bundle.points"),
+    ("map_before", "", "trace.map"), ("insert", "", "trace.map"), ("map_after", "", "trace.map"),
+    ("map_before", "landmark", "exact"), ("insert", "landmark", "exact"), ("map_after", "landmark", "exact"),
+    ("map_before", "label", "exact"), ("insert", "label", "exact"), ("map_after", "label", "exact"),
+    ("train", "camera_from_world", "pose.pose"), ("train", "target", "raster.f32.color"),
+    ("train", "color", "trace.picture"), ("train", "depth_m", "trace.picture"),
+    ("train", "opacity", "trace.picture"), ("train", "loss", "trace.loss"),
+];
+
+/// What a tensor of a correct port is held to: the table's last entry for it, else the same numbers.
+#[must_use]
+pub fn tolerance(stage: &str, tensor: &str) -> &'static Tolerance {
+    let of = |(s, t, _): &&(&str, &str, &str)| *s == stage && (t.is_empty() || *t == tensor);
+    let name = TOLERANCES
+        .iter()
+        .rfind(of)
+        .map_or("exact", |(_, _, name)| name);
+    tol::find(name).unwrap_or(&tol::TABLE[0])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_tolerance_is_in_the_table() {
+        assert_eq!(
+            tol::TABLE[0].name,
+            "exact",
+            "what is held to when nothing is said"
+        );
+        for (stage, tensor, name) in TOLERANCES {
+            assert!(tol::find(name).is_some(), "{stage} {tensor}: no '{name}'");
+        }
+        let name = |stage, tensor| tolerance(stage, tensor).name;
+        assert_eq!(name("orb", "xy"), "exact", "not in the list");
+        assert_eq!(name("insert", "means"), "trace.map", "the whole stage");
+        assert_eq!(name("insert", "landmark"), "exact", "but for ids");
+    }
+}

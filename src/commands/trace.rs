@@ -1,0 +1,198 @@
+//! `garad trace`: every stage of some frames written down, and two such traces compared.
+
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::str::FromStr;
+
+use anyhow::{Context, Result, bail};
+use garad::progress::note;
+use garad::trace;
+use garad_golden::trace::diff::{Judge, diff};
+use serde_json::json;
+
+use super::run::{InputArgs, Masks, frames};
+use super::{make_folder, say};
+
+/// Exit code when two traces differ.
+const DIFFER: u8 = 1;
+
+#[derive(Debug, clap::Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    command: Option<Command>,
+    #[command(flatten)]
+    record: Record,
+}
+
+#[derive(Debug, clap::Args)]
+struct Record {
+    /// Folder, .tgz, .tar or .zip in TUM or BONN layout.
+    #[arg(required = true)]
+    dataset: Option<PathBuf>,
+    /// Frames to write down, first and last: `10..12`, or one of them. Earlier frames are run, later
+    /// ones are not.
+    #[arg(long, value_name = "A..B", required = true)]
+    frames: Option<Frames>,
+    /// Where the trace goes.
+    #[arg(short = 'o', long = "out", value_name = "DIR", required = true)]
+    out: Option<PathBuf>,
+    /// Threads; the trace has the same bits for any number.
+    #[arg(long, default_value_t = super::default_threads(), value_parser = super::threads())]
+    threads: usize,
+    /// Seed of everything random.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Configuration file; keys that are not given keep their defaults.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Masks taken instead of finding out what moves, as for `run`.
+    #[arg(long, value_name = "DIR")]
+    oracle_labels: Option<PathBuf>,
+    /// No progress.
+    #[arg(long)]
+    quiet: bool,
+    #[command(flatten)]
+    input: InputArgs,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    /// Compare two traces, or a trace and a folder of the same layout. Exit code 0: no difference, 1:
+    /// some, 2: the command is wrong.
+    Diff(Diff),
+}
+
+#[derive(Debug, clap::Args)]
+struct Diff {
+    /// A trace.
+    first: PathBuf,
+    /// Another, or a port's folder; without a trace.json only the files that are there are compared.
+    second: PathBuf,
+    /// Allow each tensor what a correct port may lose, instead of no difference at all.
+    #[arg(long)]
+    tolerances: bool,
+}
+
+#[derive(Debug, Clone)]
+struct Frames(RangeInclusive<u32>);
+
+impl FromStr for Frames {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (first, last) = text.split_once("..").unwrap_or((text, text));
+        let number = |s: &str| s.trim_start_matches('=').parse::<u32>();
+        match (number(first), number(last)) {
+            (Ok(first), Ok(last)) if first <= last => Ok(Self(first..=last)),
+            _ => Err("expected FIRST..LAST, both included, or one frame".to_owned()),
+        }
+    }
+}
+
+pub(crate) fn run(args: &Args) -> Result<ExitCode> {
+    match &args.command {
+        Some(Command::Diff(args)) => compare(args),
+        None => record(&args.record).map(|()| ExitCode::SUCCESS),
+    }
+}
+
+fn record(args: &Record) -> Result<()> {
+    let (Some(path), Some(Frames(range)), Some(out)) = (&args.dataset, &args.frames, &args.out)
+    else {
+        bail!("a recording, --frames and --out are needed");
+    };
+    let config = match &args.config {
+        Some(path) => garad::config_file::read(path)?,
+        None => garad_slam::Config::default(),
+    };
+    let options = garad::runner::RunOptions {
+        config,
+        threads: args.threads,
+        seed: args.seed,
+        strict: args.input.strict,
+        quiet: args.quiet,
+    };
+    let dataset = args.input.open(path)?;
+    if *range.start() as usize >= dataset.len() {
+        bail!(
+            "{}: has {} frames; --frames starts at {}",
+            path.display(),
+            dataset.len(),
+            range.start()
+        );
+    }
+    let oracle = args
+        .oracle_labels
+        .as_ref()
+        .map(|dir| Masks::find(&dataset, path, dir))
+        .transpose()?;
+    empty(out)?;
+    make_folder(out)?;
+    let calibration = dataset.calibration();
+    let camera = &calibration.camera;
+    let source = frames(&dataset, oracle.as_ref(), None);
+    let (records, skipped) = trace::record(camera, source, range.clone(), &options)?;
+    for why in &skipped {
+        note(&format!("warning: frame skipped: {why}"));
+    }
+    let lens = &camera.distortion;
+    let about = json!({
+        "program": concat!("garad ", env!("CARGO_PKG_VERSION")),
+        "recording": dataset.name(),
+        "frames": [range.start(), range.end()],
+        "seed": args.seed,
+        "camera": {
+            "size": [camera.width, camera.height],
+            "fx_fy_cx_cy": [camera.fx, camera.fy, camera.cx, camera.cy],
+            "k1_k2_p1_p2_k3": [lens.k1, lens.k2, lens.p1, lens.p2, lens.k3],
+        },
+        "config": "config.toml",
+    });
+    trace::write(out, &records, about)?;
+    let path = out.join("config.toml");
+    let text = garad::config_file::write(&options.config)?;
+    std::fs::write(&path, text).with_context(|| format!("{}: cannot write", path.display()))?;
+    say(&format!(
+        "{} tensors of frames {} to {} in {}",
+        records.len(),
+        range.start(),
+        range.end(),
+        out.display()
+    ))
+}
+
+/// Tensors of an earlier trace must not mix with those of this one.
+fn empty(folder: &Path) -> Result<()> {
+    let there = std::fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some());
+    if there {
+        bail!(
+            "{}: is not empty; expected a new folder for the trace",
+            folder.display()
+        );
+    }
+    Ok(())
+}
+
+fn compare(args: &Diff) -> Result<ExitCode> {
+    if !args.second.is_dir() {
+        bail!("{}: no such folder", args.second.display());
+    }
+    let judge = match args.tolerances {
+        true => Judge::Tolerances,
+        false => Judge::Exact,
+    };
+    let found = diff(&args.first, &args.second, judge)?;
+    if found.compared == 0 {
+        bail!(
+            "{}: nothing to compare; expected files like 000010/pose_0/after.npy",
+            args.second.display()
+        );
+    }
+    say(&found.to_string())?;
+    Ok(match found.differences.is_empty() {
+        true => ExitCode::SUCCESS,
+        false => ExitCode::from(DIFFER),
+    })
+}
