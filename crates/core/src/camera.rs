@@ -6,10 +6,11 @@
 //! there on everything is pinhole.
 
 use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// Brown-Conrady coefficients in OpenCV's order (k1, k2, p1, p2, k3).
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Distortion {
     /// Radial, r².
     pub k1: f64,
@@ -24,7 +25,7 @@ pub struct Distortion {
 }
 
 /// A calibrated camera.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
     /// Columns of the picture.
     pub width: usize,

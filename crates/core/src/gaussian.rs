@@ -1,5 +1,7 @@
 //! [`GaussianMap`]: the map, as a structure of arrays.
 
+use serde::{Deserialize, Serialize};
+
 use crate::Real;
 use crate::ids::{KeyframeId, Label, LandmarkId};
 use crate::sh::coefficients;
@@ -16,7 +18,7 @@ use crate::sh::coefficients;
 ///
 /// and what SLAM needs to know about each: the landmark it is tagged with, its parent, the
 /// keyframe it was born in, and its label.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GaussianMap<T = f32> {
     sh_degree: usize,
     /// Centres in the world, metres.

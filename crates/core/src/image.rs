@@ -2,6 +2,8 @@
 //!
 //! The image spans [-0.5, W-0.5] x [-0.5, H-0.5]; pixel (0, 0) has its centre at (0.0, 0.0).
 
+use serde::{Deserialize, Deserializer, Serialize, de};
+
 /// A row-major picture of `width * height` pixels of type `T`.
 ///
 /// # Example
@@ -11,11 +13,39 @@
 /// image[(2, 1)] = 7; // column 2, row 1
 /// assert_eq!(image.data(), [0, 0, 0, 0, 0, 7]);
 /// ```
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 pub struct Image<T> {
     width: usize,
     height: usize,
     data: Vec<T>,
+}
+
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for Image<T> {
+    /// A picture whose number of pixels is not its width times its height is refused.
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        #[derive(Deserialize)]
+        struct Parts<T> {
+            width: usize,
+            height: usize,
+            data: Vec<T>,
+        }
+        let Parts {
+            width,
+            height,
+            data,
+        } = Parts::deserialize(deserializer)?;
+        if width.checked_mul(height) != Some(data.len()) {
+            let pixels = data.len();
+            return Err(de::Error::custom(format_args!(
+                "{pixels} pixels for a picture of {width} x {height}"
+            )));
+        }
+        Ok(Self {
+            width,
+            height,
+            data,
+        })
+    }
 }
 
 /// 8-bit grey.

@@ -1,5 +1,7 @@
 //! [`Rng`]: a counter-based random generator; its state is its argument, never a global.
 
+use serde::{Deserialize, Serialize};
+
 /// SplitMix64 (Steele, Lea, Flood 2014): one addition and a mixing of 64 bits per number.
 ///
 /// Streams are keyed: `Rng::keyed(seed, &[stage, frame, item])` gives each place its own
@@ -10,7 +12,7 @@
 /// use garad_core::Rng;
 /// assert_eq!(Rng::new(0).next_u64(), 0xE220_A839_7B1D_CDAF); // published test value
 /// ```
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Rng {
     state: u64,
 }

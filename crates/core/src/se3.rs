@@ -11,6 +11,7 @@
 //! Points and vectors are both `Vector3`: `pose * p` moves a point, `pose.rotation * v` a vector.
 
 use nalgebra::{Matrix3, Matrix4, Matrix6, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
 
 use crate::so3::{
     So3, cos_remainder_over_theta4, hat, sin_cos_remainder_over_theta5, theta_minus_sin_over_theta3,
@@ -27,7 +28,7 @@ use crate::so3::{
 /// assert_eq!(camera_from_world * Vector3::zeros(), Vector3::new(0.0, 0.0, 1.0));
 /// assert_eq!(camera_from_world.inverse().translation, Vector3::new(0.0, 0.0, -1.0));
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Se3 {
     /// R.
     pub rotation: So3,

@@ -5,6 +5,7 @@
 //! sits where both sides agree to the last bits (a test sweeps it).
 
 use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Below this angle the coefficients that lose digits by cancellation come from their series.
 /// At 1 rad ten terms reach 1e-17. The closed forms have lost one digit (θ - sin θ) to two (the
@@ -22,7 +23,7 @@ const SERIES_TERMS: usize = 10;
 /// let quarter = So3::exp(&Vector3::new(0.0, 0.0, std::f64::consts::FRAC_PI_2));
 /// assert!((quarter * Vector3::x() - Vector3::y()).norm() < 1e-15);
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct So3 {
     wxyz: [f64; 4],
 }

@@ -77,7 +77,7 @@ impl LabelWindowConfig {
 }
 
 /// The last 64 labels of one Gaussian, one bit each.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct LabelWindow {
     /// Bit 0 is the latest run; 1 is dynamic.
     dynamic: u64,

@@ -1,12 +1,13 @@
 //! Moving or static: precision, recall, F1 and IoU, frame by frame and over a run.
 
 use garad_core::MaskImage;
+use serde::{Deserialize, Serialize};
 
 use crate::EvalError;
 use crate::metrics::{KeypointLabels, LabelMetrics, PixelLabels};
 
 /// Counts of decisions; *positive* means moving.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Confusion {
     /// Called moving, and is.
     pub true_positives: u64,
@@ -145,7 +146,7 @@ fn pixel(x: f64, n: usize) -> Option<usize> {
 }
 
 /// Counts of one frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FrameLabels {
     /// Time of the frame, seconds.
     pub t_s: f64,
@@ -160,7 +161,7 @@ pub struct FrameLabels {
 /// Figures over the run are of the summed counts: a frame counts by its decisions, and frames in
 /// which nothing moves count by their false alarms. A mean of the frames' own figures would have to
 /// leave those out.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct RunLabels {
     /// Frame by frame.
     pub frames: Vec<FrameLabels>,

@@ -1,5 +1,7 @@
 //! [`Descriptor`]: 256 bits that look alike when two patches do.
 
+use serde::{Deserialize, Serialize};
+
 /// A binary descriptor, 256 comparisons of one bit each.
 ///
 /// Bit i of byte b is comparison 8 b + i, in OpenCV's byte order; word w holds bytes 8 w .. 8 w + 7,
@@ -13,7 +15,7 @@
 /// assert_eq!(zero.distance(&three), 3);
 /// assert_eq!(three.to_bytes()[0], 7);
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Descriptor(pub [u64; 4]);
 
 impl Descriptor {

@@ -5,11 +5,12 @@
 //! [`Adam::extend`].
 
 use garad_core::Real;
+use serde::{Deserialize, Serialize};
 
 use crate::error::{OptimError, positive};
 
 /// What Adam remembers, and how long.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AdamConfig {
     /// Share of the mean gradient kept per step; it is remembered for about 1/(1 - β₁) steps.
     pub beta1: f64,
@@ -48,7 +49,7 @@ impl Default for AdamConfig {
 /// assert!((parameters[0] - 0.9).abs() < 1e-10 && (parameters[1] - 1.1).abs() < 1e-10);
 /// # Ok::<(), garad_optim::OptimError>(())
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Adam<T> {
     config: AdamConfig,
     width: usize,

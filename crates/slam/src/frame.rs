@@ -4,12 +4,13 @@ use garad_core::pyramid::{level_scales, level_sizes};
 use garad_core::{Camera, DepthImage, FrameId, Label, LandmarkId, MaskImage, Se3};
 use garad_features::{Descriptor, Keypoint};
 use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
 
 use crate::config::{Config, FeatureConfig};
 use crate::mask::moving_near;
 
 /// A frame: its features in ideal pixels, their depth, and the landmarks they were found to be.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Frame {
     /// Position in the recording.
     pub id: FrameId,
@@ -291,7 +292,7 @@ fn nearest_pixel(px: &Vector2<f64>, (width, height): (usize, usize)) -> Option<(
 }
 
 /// Keypoints by cell, so that a search looks at its neighbourhood only.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 struct Grid {
     columns: usize,
     rows: usize,

@@ -11,7 +11,7 @@
 //! [`keyframes`] (when to keep a frame, what it adds, what is thrown out) → [`local_ba`] (poses and
 //! landmarks together) → [`loop_closing`] (a place seen again) → [`schedule`] (mapping beside tracking) → [`mapper`] (Gaussians where the
 //! picture is not yet explained; the map learns the pictures). [`recover`] finds a lost camera
-//! again.
+//! again. [`session`] puts a run aside and takes it up again.
 
 pub mod config;
 pub mod frame;
@@ -27,6 +27,7 @@ pub mod observer;
 pub mod recover;
 pub mod refine;
 pub mod schedule;
+pub mod session;
 pub mod system;
 pub mod trace;
 pub mod tracker;
@@ -34,5 +35,6 @@ pub mod tracker;
 pub use config::{Config, ConfigError};
 pub use loop_closing::{LoopClosure, LoopConfig};
 pub use observer::{Observer, Silent, Stage};
+pub use session::SessionError;
 pub use system::{FrameInput, FrameReport, Slam, SlamError};
 pub use tracker::TrackingState;

@@ -72,7 +72,7 @@ impl Default for LoopConfig {
 }
 
 /// A loop that was closed.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LoopClosure {
     /// The keyframe at which.
     pub keyframe: KeyframeId,
@@ -85,7 +85,7 @@ pub struct LoopClosure {
 }
 
 /// What loop closing remembers from keyframe to keyframe.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Serialize, Deserialize)]
 pub(crate) struct LoopCloser {
     /// Places the last keyframe looked like, and how many in a row did.
     streaks: Vec<(BTreeSet<KeyframeId>, usize)>,

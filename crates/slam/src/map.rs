@@ -9,11 +9,12 @@ use garad_core::{Camera, KeyframeId, Label, LandmarkId};
 use garad_crf::LabelWindow;
 use garad_features::Descriptor;
 use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
 
 use crate::frame::Frame;
 
 /// A 3-D point that features of several keyframes see.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Landmark {
     /// Where it is, metres.
     pub p_world: Vector3<f64>,
@@ -38,7 +39,7 @@ pub struct Landmark {
 }
 
 /// All landmarks and keyframes of a run.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Map {
     landmarks: Vec<Option<Landmark>>,
     keyframes: Vec<Frame>,

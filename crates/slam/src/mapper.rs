@@ -16,6 +16,7 @@ pub mod relabel;
 pub mod train;
 pub mod view;
 
+use std::io::{Read, Write};
 use std::ops::RangeInclusive;
 
 use garad_core::{
@@ -23,6 +24,7 @@ use garad_core::{
     RgbImage, Se3,
 };
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 use self::insert::{Picture, insert_landmarks, seed_from_depth};
 use self::relabel::{Relabelled, relabel};
@@ -31,6 +33,7 @@ use self::view::TrainingView;
 use crate::config::Config;
 use crate::labels::witness::Witness;
 use crate::observer::{Observer, Stage};
+use crate::session::{SectionReader, SectionWriter, SessionError};
 use crate::system::SlamError;
 use crate::trace::TraceRecord;
 
@@ -74,7 +77,7 @@ pub struct NewLandmark {
 }
 
 /// What a job did.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MappingDone {
     /// The keyframe.
     pub keyframe: KeyframeId,
@@ -138,6 +141,38 @@ impl Mapper {
         self.trainer.tape.take()
     }
 
+    pub(crate) fn save<W: Write>(&self, to: &mut SectionWriter<W>) -> Result<(), SessionError> {
+        let Self {
+            camera: _,
+            config: _,
+            gaussians,
+            trainer,
+            poses,
+            par: _,
+        } = self;
+        to.put("gaussians", gaussians)?;
+        to.put("poses", poses)?;
+        trainer.save(to)
+    }
+
+    /// Into a mapper made for the same camera and configuration.
+    pub(crate) fn load<R: Read>(
+        &mut self,
+        from: &mut SectionReader<R>,
+    ) -> Result<(), SessionError> {
+        let Self {
+            camera: _,
+            config: _,
+            gaussians,
+            trainer,
+            poses,
+            par: _,
+        } = self;
+        *gaussians = from.take("gaussians")?;
+        *poses = from.take("poses")?;
+        trainer.load(from)
+    }
+
     /// Labels what the keyframe sees, inserts what it shows anew, and trains.
     pub fn run(&mut self, job: MappingJob, observer: &mut dyn Observer) -> MappingDone {
         self.trainer.tape.turn_to(job.frame);
@@ -167,7 +202,7 @@ impl Mapper {
             error: None,
         };
         let train = &self.config.train;
-        if train.per_keyframe + train.per_frame + train.refine > 0 {
+        if train.keeps_views() {
             let depth = (train.lambda_depth > 0.0).then_some(job.depth);
             let dilate_px = self.config.labels.dilate_px;
             let mask = job.mask.as_ref();

@@ -13,6 +13,7 @@
 
 use std::collections::VecDeque;
 use std::fmt;
+use std::io::{Read, Write};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::{Builder, JoinHandle};
 
@@ -20,6 +21,7 @@ use garad_core::FrameId;
 
 use crate::mapper::{Mapper, MappingDone, MappingJob};
 use crate::observer::Observer;
+use crate::session::{SectionReader, SectionWriter, SessionError};
 use crate::system::SlamError;
 
 /// Who listens to the mapper; it may do so from another thread.
@@ -31,6 +33,8 @@ pub(crate) struct Schedule {
     worker: Worker,
     /// When the jobs not yet handed over are due, oldest first.
     due: VecDeque<FrameId>,
+    /// Answers to the oldest of these that are here already, because a session was saved.
+    answers: VecDeque<MappingDone>,
     handover_frames: u32,
     /// More than one thread: the mapper gets its own.
     beside: bool,
@@ -65,6 +69,7 @@ impl Schedule {
         Self {
             worker: Worker::Here(crew, VecDeque::new()),
             due: VecDeque::new(),
+            answers: VecDeque::new(),
             handover_frames,
             beside,
         }
@@ -129,6 +134,14 @@ impl Schedule {
         if self.due.pop_front().is_none() {
             return Ok(None);
         }
+        match self.answers.pop_front() {
+            Some(done) => Ok(Some(done)),
+            None => self.next_answer(),
+        }
+    }
+
+    /// The oldest job not yet answered, run or waited for.
+    fn next_answer(&mut self) -> Result<Option<MappingDone>, SlamError> {
         match &mut self.worker {
             Worker::Here(crew, waiting) => {
                 let job = waiting.pop_front();
@@ -141,7 +154,44 @@ impl Schedule {
         }
     }
 
-    /// The mapper comes to rest in this thread. Every job must have been taken.
+    /// Every job is done and the mapper is at rest in this thread, but nothing is handed over: the
+    /// answers wait for their frame.
+    ///
+    /// # Errors
+    /// [`SlamError::MappingLost`].
+    pub(crate) fn settle(&mut self) -> Result<(), SlamError> {
+        while self.answers.len() < self.due.len() {
+            let answer = self.next_answer()?.ok_or(SlamError::MappingLost)?;
+            self.answers.push_back(answer);
+        }
+        self.come_home()
+    }
+
+    /// Writes a schedule that has been settled.
+    pub(crate) fn save<W: Write>(&self, to: &mut SectionWriter<W>) -> Result<(), SessionError> {
+        let Self {
+            worker: _, // its mapper, below
+            due,
+            answers,
+            handover_frames: _, // from the configuration
+            beside: _,          // changes no result
+        } = self;
+        to.put("due", due)?;
+        to.put("answers", answers)?;
+        self.mapper().ok_or(SlamError::MappingLost)?.save(to)
+    }
+
+    /// Into a schedule whose mapper is at rest.
+    pub(crate) fn load<R: Read>(
+        &mut self,
+        from: &mut SectionReader<R>,
+    ) -> Result<(), SessionError> {
+        self.due = from.take("due")?;
+        self.answers = from.take("answers")?;
+        self.mapper_mut().ok_or(SlamError::MappingLost)?.load(from)
+    }
+
+    /// The mapper comes to rest in this thread. Every job must have been answered.
     ///
     /// # Errors
     /// [`SlamError::MappingLost`].

@@ -10,6 +10,7 @@ use garad_core::{
 };
 use garad_crf::Crf;
 use garad_features::{FeatureError, LkPyramid, OrbConfig, OrbExtractor, PlaceConfig, PlaceIndex};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::config::{Config, ConfigError};
@@ -39,7 +40,7 @@ pub struct FrameInput<'a> {
 }
 
 /// What became of a frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FrameReport {
     /// Position in the recording.
     pub id: FrameId,
@@ -100,8 +101,8 @@ pub enum SlamError {
 }
 
 /// A frame's pose relative to a keyframe, so that it follows when the keyframe is adjusted.
-#[derive(Debug, Clone, Copy)]
-struct Record {
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub(crate) struct Record {
     t_s: f64,
     reference: KeyframeId,
     frame_from_reference: Se3,
@@ -123,8 +124,8 @@ pub struct Slam {
     /// Keyframes by what they look like.
     pub(crate) places: PlaceIndex,
     pub(crate) loops: LoopCloser,
-    extractor: OrbExtractor,
-    levels: Levels,
+    pub(crate) extractor: OrbExtractor,
+    pub(crate) levels: Levels,
     /// Pictures of the youngest keyframes, for refinement.
     pub(crate) pyramids: BTreeMap<KeyframeId, Arc<LkPyramid>>,
     /// The last tracked frame's picture, for the flow check.
@@ -134,14 +135,16 @@ pub struct Slam {
     pub(crate) lattice: Lattice,
     pub(crate) crf: Crf,
     /// What moves in the last tracked frame.
-    frame_labels: Option<FrameLabels>,
+    pub(crate) frame_labels: Option<FrameLabels>,
     pub(crate) schedule: Schedule,
     /// What became of every keyframe's job.
-    mapped: Vec<MappingDone>,
-    state: TrackingState,
-    recovered_at: Option<FrameId>,
-    next_frame: FrameId,
-    records: Vec<Record>,
+    pub(crate) mapped: Vec<MappingDone>,
+    pub(crate) state: TrackingState,
+    pub(crate) recovered_at: Option<FrameId>,
+    pub(crate) next_frame: FrameId,
+    pub(crate) records: Vec<Record>,
+    /// The map is finished: frames are tracked in it and change nothing.
+    pub(crate) localising: bool,
     pub(crate) tape: Tape,
     pub(crate) par: Par,
 }
@@ -218,6 +221,7 @@ impl Slam {
             recovered_at: None,
             next_frame: FrameId(0),
             records: Vec::new(),
+            localising: false,
             tape: Tape::default(),
             par,
         })
@@ -338,7 +342,8 @@ impl Slam {
         if self.state == TrackingState::Tracking {
             // Before any adjustment: both poses of the difference stand on the same map.
             self.velocity = self.velocity_to(&frame);
-            let kept = self.map.keyframes().is_empty() || self.needs_keyframe(&frame, inliers);
+            let kept = !self.localising
+                && (self.map.keyframes().is_empty() || self.needs_keyframe(&frame, inliers));
             self.tape
                 .put("keyframe", |page| page.decision(inliers, &frame, kept));
             if kept {

@@ -9,6 +9,7 @@
 use garad_core::{DepthImage, LandmarkId, Se3};
 use garad_features::LkPyramid;
 use garad_optim::{DepthObservation, PoseConfig, PoseObservation, optimise_pose};
+use serde::{Deserialize, Serialize};
 
 use crate::config::DepthResidual;
 use crate::frame::Frame;
@@ -17,7 +18,7 @@ use crate::matching::Matcher;
 use crate::system::Slam;
 
 /// What the tracker knows about where it is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum TrackingState {
     /// No frame with enough depth yet.
     NotInitialised,
@@ -132,7 +133,8 @@ impl Slam {
             let seen = self
                 .map
                 .appearance(landmark, frame, &self.camera, &self.scales);
-            if (already_linked || seen.is_some())
+            if !self.localising
+                && (already_linked || seen.is_some())
                 && let Some(landmark) = self.map.landmark_mut(id)
             {
                 landmark.visible += 1;
@@ -154,7 +156,9 @@ impl Slam {
             inliers = self.optimise(frame);
         }
         for id in frame.landmark.iter().flatten() {
-            if let Some(landmark) = self.map.landmark_mut(*id) {
+            if !self.localising
+                && let Some(landmark) = self.map.landmark_mut(*id)
+            {
                 landmark.found += 1;
             }
         }

@@ -2,6 +2,7 @@
 
 use garad_core::GrayImage;
 use garad_core::pyramid::{halve, reflect_101};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 use super::WINDOW;
 use crate::error::FeatureError;
@@ -85,6 +86,21 @@ impl LkPyramid {
 
     pub(super) fn level(&self, level: usize) -> &LkLevel {
         &self.levels[level]
+    }
+}
+
+/// Kept as the picture and the number of levels above it: everything else follows, and takes five
+/// times the room.
+impl Serialize for LkPyramid {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        (self.image(), self.levels.len() - 1).serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for LkPyramid {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let (image, above) = <(GrayImage, usize)>::deserialize(deserializer)?;
+        Self::new(&image, above).map_err(de::Error::custom)
     }
 }
 

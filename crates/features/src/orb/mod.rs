@@ -14,12 +14,13 @@ mod pattern;
 
 use garad_core::pyramid::{level_scales, level_sizes, resize_linear_into};
 use garad_core::{GrayImage, Image, Par};
+use serde::{Deserialize, Serialize};
 
 use crate::descriptor::Descriptor;
 use crate::error::FeatureError;
 
 /// A point of the picture that can be recognised.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Keypoint {
     /// Column in level-0 pixels, as the sensor sees it (distorted).
     pub x: f32,

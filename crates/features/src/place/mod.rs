@@ -39,6 +39,7 @@
 use std::collections::BTreeMap;
 
 use garad_core::{KeyframeId, Rng};
+use serde::{Deserialize, Serialize};
 
 use crate::descriptor::Descriptor;
 use crate::error::FeatureError;
@@ -74,7 +75,7 @@ pub struct Candidate {
 }
 
 /// A keyframe that has a word: its slot, and how often.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 struct Posting {
     slot: u32,
     count: u32,
@@ -99,7 +100,7 @@ struct Posting {
 /// let without = places.query(&desk, 2, |id| id == KeyframeId(1));
 /// assert!(without.iter().all(|c| c.id == KeyframeId(0)));
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct PlaceIndex {
     /// Per table, the bits that are read.
     tables: Vec<Vec<usize>>,

@@ -82,6 +82,14 @@ pub enum Optimiser {
     Sgd,
 }
 
+impl TrainConfig {
+    /// Whether pictures are kept to train on.
+    #[must_use]
+    pub fn keeps_views(&self) -> bool {
+        self.per_keyframe + self.per_frame + self.refine > 0
+    }
+}
+
 impl Default for TrainConfig {
     fn default() -> Self {
         Self {

@@ -3,6 +3,7 @@
 use garad_core::{Camera, DepthImage, FrameId, Image, Label, MaskImage, Real};
 use garad_crf::{Cues, Node, unary};
 use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
 
 use super::witness::{CELL_PX, Court, Statement, Verdict};
 use crate::frame::Frame;
@@ -10,7 +11,7 @@ use crate::mask::{self, MOVING};
 use crate::system::Slam;
 
 /// What was found out about a frame.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FrameLabels {
     /// The frame.
     pub frame: FrameId,

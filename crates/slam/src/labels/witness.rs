@@ -13,6 +13,7 @@
 use garad_core::{Camera, DepthImage, Image, MaskImage, Se3};
 use garad_crf::DepthNoise;
 use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
 
 use crate::mask::MOVING;
 
@@ -23,7 +24,7 @@ pub(crate) const CELL_PX: usize = 4;
 const BODY_M: f64 = 0.2;
 
 /// A depth picture in cells of 4 x 4 pixels.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct Witness {
     /// Nearest and farthest depth in the 3 x 3 cells around, metres; 0 where there is none.
     near: Image<f32>,

@@ -7,11 +7,12 @@
 
 use garad_core::{Camera, GaussianMap, Label, Real, Rng, So3};
 use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
 
 use crate::config::DensifyConfig;
 
 /// How hard the loss has pulled at each splat's centre since the last look.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Densifier {
     /// Σ |∂L/∂(NDC x, y)|.
     pull: Vec<f32>,

@@ -9,12 +9,13 @@ use std::collections::BTreeMap;
 use garad_core::{Camera, GaussianMap, Label, LandmarkId, Se3};
 use garad_crf::LabelWindow;
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 use crate::config::LabelConfig;
 use crate::labels::witness::{Testimony, Witness};
 
 /// How many labels a keyframe changed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Relabelled {
     /// Static Gaussians that were found to move.
     pub to_dynamic: usize,

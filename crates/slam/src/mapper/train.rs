@@ -5,17 +5,21 @@
 //! keyframe, level ─→ render (static Gaussians) ─→ loss ─→ backward ─→ Adam ─→ clone, split, prune
 //! ```
 
+use std::io::{Read, Write};
+
 use garad_core::undistort::Undistortion;
 use garad_core::{Camera, GaussianMap, KeyframeId, Label, Par, Rng, Se3};
 use garad_crf::LabelWindow;
 use garad_optim::{Adam, AdamConfig, OptimError, sgd};
 use garad_raster::losses::{depth_l1, opacity_penalty, photometric};
 use garad_raster::{Gradients, Include, RasterError, RenderOptions, Upstream, fast};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::densify::{Densifier, densify, faded};
 use super::view::TrainingView;
 use crate::config::{DensifyConfig, Optimiser, RateConfig, TrainConfig};
+use crate::session::{SectionReader, SectionWriter, SessionError};
 use crate::trace::Tape;
 
 /// Rendered opacity from which a pixel's depth is judged.
@@ -39,7 +43,7 @@ pub struct Trainer {
 }
 
 /// One optimiser per kind of parameter.
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
 struct Groups {
     means: Adam<f32>,
     log_scales: Adam<f32>,
@@ -129,6 +133,65 @@ impl Trainer {
             iterations: 0,
             tape: Tape::default(),
         })
+    }
+
+    pub(super) fn save<W: Write>(&self, to: &mut SectionWriter<W>) -> Result<(), SessionError> {
+        let Self {
+            camera: _,
+            straight: _, // from the camera
+            views,
+            order,
+            rng,
+            seed,
+            groups,
+            windows,
+            densifier,
+            iterations,
+            tape: _,
+        } = self;
+        to.put("views", &views.len())?;
+        for view in views {
+            to.put("view", view)?; // one by one: together they are the largest part of a session
+        }
+        to.put("order", order)?;
+        to.put("rng", rng)?;
+        to.put("train_seed", seed)?;
+        to.put("groups", groups)?;
+        to.put("windows", windows)?;
+        to.put("densifier", densifier)?;
+        to.put("iterations", iterations)
+    }
+
+    /// Into a trainer made for the same camera.
+    pub(super) fn load<R: Read>(
+        &mut self,
+        from: &mut SectionReader<R>,
+    ) -> Result<(), SessionError> {
+        let Self {
+            camera: _,
+            straight: _,
+            views,
+            order,
+            rng,
+            seed,
+            groups,
+            windows,
+            densifier,
+            iterations,
+            tape: _,
+        } = self;
+        let count: usize = from.take("views")?;
+        *views = (0..count)
+            .map(|_| from.take("view"))
+            .collect::<Result<_, _>>()?;
+        *order = from.take("order")?;
+        *rng = from.take("rng")?;
+        *seed = from.take("train_seed")?;
+        *groups = from.take("groups")?;
+        *windows = from.take("windows")?;
+        *densifier = from.take("densifier")?;
+        *iterations = from.take("iterations")?;
+        Ok(())
     }
 
     /// One more picture to learn from.

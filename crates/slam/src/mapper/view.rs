@@ -3,6 +3,7 @@
 use garad_core::pyramid::halve_real;
 use garad_core::undistort::Undistortion;
 use garad_core::{Camera, DepthImage, Distortion, Image, KeyframeId, MaskImage, Par, RgbImage};
+use serde::{Deserialize, Serialize};
 
 use crate::mask;
 
@@ -11,7 +12,7 @@ const TOP_LEVEL: usize = 2;
 
 /// A keyframe's picture. It is kept as recorded, a megabyte of bytes; what one iteration compares
 /// with is made when it is wanted.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct TrainingView {
     /// The keyframe.
     pub keyframe: KeyframeId,
