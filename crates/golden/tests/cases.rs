@@ -11,7 +11,7 @@ fn subfolders(path: &Path) -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> = fs::read_dir(path)
         .expect("the folder is there")
         .map(|entry| entry.expect("readable").path())
-        .filter(|path| path.is_dir() && !path.ends_with("gen"))
+        .filter(|path| path.is_dir() && !path.ends_with("gen") && !path.ends_with("trace"))
         .collect();
     found.sort();
     found

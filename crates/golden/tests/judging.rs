@@ -332,13 +332,14 @@ fn the_report_says_where_to_look() {
     assert!(text.contains("raster FAILS (projection_covariance FAILS, sh passes): look at projection_covariance first"), "{text}");
 }
 
-/// Every part of the method has a committed case, or is in the list of missing ones.
+/// Every part of the method has a committed case.
 #[test]
 fn every_part_has_cases() {
     let root = Case::root();
     let cases = Case::load_root(&root).expect("sound cases");
     let mut problems = Vec::new();
-    for stage in stages::STAGES {
+    // The trace has an index of its own kind; the root package's tests look at it.
+    for stage in stages::STAGES.iter().filter(|s| s.name != "trace") {
         let n = cases
             .iter()
             .filter(|case| case.stage() == stage.name)

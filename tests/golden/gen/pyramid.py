@@ -44,4 +44,4 @@ if __name__ == "__main__":
             scharr = cv2.Scharr(image, cv2.CV_16S, dx, 1 - dx, borderType=cv2.BORDER_REFLECT_101)
             outputs[f"scharr_{axis}"] = (scharr, "1", "exact")
         write_case("pyramid", name, basis="opencv", why=why, script="gen/pyramid.py", seed=seed,
-                   inputs={"image": (image, "1")}, outputs=outputs)
+                   equations=["paper:16"], inputs={"image": (image, "1")}, outputs=outputs)

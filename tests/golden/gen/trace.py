@@ -1,0 +1,367 @@
+"""What can be checked of a trace from outside: every stage's outputs computed a second time from its inputs, by
+OpenCV, scipy, and the reference scripts of the single stages here. Writes basis.json beside the trace: for each
+output who computed it again and how far apart the two are, or `pin`, if nobody did: such an output only guards
+against change.
+
+    pip install numpy==2.4.6 scipy==1.17.1 opencv-python-headless==5.0.0.93 mpmath==1.3.0
+    python3 tests/golden/gen/trace.py [TRACE]          (default: tests/golden/trace/walking_4_to_6)
+
+The trace itself is made by garad from a recording made by garad; tests/golden/README.md has the commands.
+"""
+
+import json
+import pathlib
+import sys
+import tomllib
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+import bundle
+import crf
+import flow
+import losses
+import orb
+import pose_lm
+import raster
+from pyramid import orb_levels
+
+CELL = 4
+F = np.float32
+
+
+class Run(dict):
+    """The tensors of one run of a stage, by name."""
+
+
+class Checks:
+    def __init__(self):
+        self.found, self.problems = {}, []
+
+    def same(self, run, name, expected, basis, abs_=0.0, rel=0.0, share=0.0):
+        got, expected = np.asarray(run[name], float), np.asarray(expected, float)
+        if got.shape != expected.shape:
+            self.problems.append(f"{run.name} {name}: shape {got.shape}, {basis} has {expected.shape}")
+            return
+        equal = (got == expected) | (np.isnan(got) & np.isnan(expected))
+        with np.errstate(invalid="ignore"):
+            error = np.where(equal, 0, np.abs(got - expected))
+            beyond = ~equal & ~(error <= abs_ + rel * np.abs(expected))
+        if beyond.sum() > share * beyond.size:
+            at = np.unravel_index(np.nanargmax(np.where(beyond, error, -1)), error.shape) if error.shape else ()
+            self.problems.append(f"{run.name} {name}: at {tuple(map(int, at))} {got[at]!r}, {basis} has {expected[at]!r}; {int(beyond.sum())} differ")
+            return
+        entry = self.found.setdefault(f"{run.stage}/{name}", {"basis": basis, "allowed": max(abs_, rel), "worst": 0.0, "tensors": 0})
+        if beyond.any():
+            entry["beyond"] = entry.get("beyond", 0) + int(beyond.sum())
+        entry["worst"] = max(entry["worst"], float(np.where(beyond, 0, error).max(initial=0)))
+        entry["tensors"] += 1
+
+
+def load(folder):
+    index = json.loads((folder / "trace.json").read_text())
+    runs = {}
+    for e in index["tensors"]:
+        run = runs.setdefault((e["frame"], e["stage"], e["call"]), Run())
+        run.stage, run.frame, run.call = e["stage"], e["frame"], e["call"]
+        run.name = f"frame {e['frame']} {e['stage']} {e['call']}"
+        run[e["tensor"]] = np.load(folder / e["file"])
+    return index, runs
+
+
+def check_orb(checks, run, rgb, config):
+    # OpenCV 3 counted in 14 bits, OpenCV 5 counts in 15: a grey level more or less where both are near a half.
+    y = (rgb.astype(int) @ [4899, 9617, 1868] + 8192) >> 14
+    if np.abs(y - cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)).max() > 1:
+        checks.problems.append(f"{run.name} gray: more than a level from OpenCV")
+    checks.same(run, "gray", y, "numpy: BT.601 in 14 bits; opencv: within a level")
+    scales, levels = orb_levels(run["gray"])
+    for l, level in enumerate(levels[1:], 1):
+        checks.same(run, f"level_{l}", level, "opencv")
+    again = orb.extract(run["gray"], config["features"]["count"])
+    for name, other in [("xy", "pt"), ("level", "level"), ("angle_deg", "angle"), ("response", "response"), ("descriptor", "descriptor")]:
+        checks.same(run, name, again[other][0], "opencv + gen/orb.py")
+
+
+def usable(z, config):
+    return np.isfinite(z) & (z > 0) & (z <= config["features"]["max_depth_m"])
+
+
+def check_keypoints(checks, run, features, depth, config):
+    height, width = depth.shape
+    sizes = [(l.shape[1], l.shape[0]) for l in orb_levels(features["gray"])[1]]
+    scales = orb_levels(features["gray"])[0]
+    ratio = np.array([(width / w, height / h) for w, h in sizes])
+    level = features["level"]
+    px = (features["xy"].astype(float) / np.array(scales, F)[level].astype(float)[:, None] + 0.5) * ratio[level] - 0.5
+    checks.same(run, "px", px, "numpy: outer edges of the levels", abs_=1e-12)
+    checks.same(run, "uv_px", px, "numpy: no distortion", abs_=1e-12)
+    checks.same(run, "sigma_px", 1.2 ** level.astype(float), "numpy", rel=1e-6)
+    nearest = np.floor(px + 0.5).astype(int)
+    found = []
+    for x, y in nearest:
+        z = depth[y, x]
+        around = depth[max(y - 1, 0):y + 2, max(x - 1, 0):x + 2]
+        around = around[usable(around, config)]
+        good = usable(z, config) and float(F(around.max() - around.min())) <= config["features"]["edge_ratio"] * float(z)
+        found.append(float(z) if good else np.nan)
+    checks.same(run, "depth_m", found, "numpy: 3 x 3 pixels")
+    surface = []
+    for x, y in nearest:
+        offsets = [(x + dx, y + dy) for dy in range(-10, 11, 5) for dx in range(-10, 11, 5)]
+        z = [float(depth[b, a]) for a, b in offsets if 0 <= a < width and 0 <= b < height]
+        center = float(depth[y, x])
+        surface.append(center > 0 and all(v <= 0 or abs(v - center) <= config["refine"]["surface_ratio"] * center for v in z))
+    checks.same(run, "one_surface", surface, "numpy: 21 x 21 pixels")
+    checks.same(run, "in_use", np.ones(len(px)), "no mask is given")
+
+
+def pose_data(run):
+    return dict(p_world=run["p_world"], uv=run["uv_px"], sigma=run["sigma_px"],
+                right=np.stack([run["third_px"], run["third_sigma_px"]], 1))
+
+
+def check_pose(checks, run, intrinsics, bf):
+    """Four rounds from the same start, each to the optimum of those inside the gate before."""
+    pose_lm.K = tuple(intrinsics)
+    data, initial = pose_data(run), (run["before"][:, :3], run["before"][:, 3])
+    n = len(data["uv"])
+    inlier = np.ones(n, bool)
+    for round_ in range(4 if n >= 10 else 1):
+        part = {k: v[inlier] for k, v in data.items()}
+        robust = round_ <= 2
+        rotation, t = pose_lm.solve_scipy(part, initial, bf, robust)
+        s, has = pose_lm.chi2(part, (rotation, t), bf)
+        d2 = pose_lm.deltas2(has)
+        cost = 0.5 * (np.where(s <= d2, s, 2 * np.sqrt(d2 * s) - d2) if robust else s).sum()
+        s, has = pose_lm.chi2(data, (rotation, t), bf)
+        inlier = s <= pose_lm.deltas2(has)
+    # Steps end where the cost no longer falls by 1e-9 of itself: 1e-5 in the pose.
+    checks.same(run, "after", np.c_[rotation, t], "scipy", abs_=3e-5)
+    checks.same(run, "inlier", inlier, "scipy")
+    checks.same(run, "cost", [cost], "scipy", rel=1e-8)
+
+
+def field(nodes_of, config, log_odds):
+    k, m = config["crf"]["kernels"], config["crf"]["mean_field"]
+    o = crf.DEFAULT_FIELD | {name: k[name] for name in k} | {name: m[name] for name in ("normalisation", "self_message", "damping")}
+    return crf.beliefs(nodes_of, log_odds, o, [m["iterations"]])[0]
+
+
+def check_label(checks, run, config):
+    labels, depth = config["labels"], config["crf"]["unary"]["depth"]
+    residual, known = run["depth_residual"], ~np.isnan(run["depth_residual"])
+    settled = np.minimum(run["agreed_for"] / labels["settle_frames"], 1)
+    trust = np.where(known, labels["trust_young"] + (labels["trust_old"] - labels["trust_young"]) * settled, labels["trust_unknown"])
+    beyond = np.maximum(np.where(known, residual, 0) - depth["mean"], 0) / depth["sigma"]
+    clamp = config["crf"]["unary"]["clamp"]
+    likelihood = np.where(known, np.clip(np.exp(-beyond ** 2 / 2), clamp, 1 - clamp), 1)
+    p = np.maximum(likelihood * trust, clamp)
+    checks.same(run, "log_odds", np.log((1 - p) / p), "numpy: the formula of decision 005", abs_=1e-12)
+    nan = np.full(len(p), np.nan)
+    nodes = {"p_world": run["p_world"], "uv_px": run["px"], "reproj_px": nan, "observations": nan}
+    # The fast field leaves pairs out; its own bound on that is what is allowed here.
+    checks.same(run, "belief", field(nodes, config, run["log_odds"]), "gen/crf.py, every pair", abs_=2e-3)
+
+
+def check_masks(checks, run, label, keypoints, depth, config):
+    step, (height, width) = config["labels"]["step_px"], depth.shape
+    n = len(label["belief"])
+    lattice_n = n - int((~np.isnan(keypoints["depth_m"])).sum())
+    px, belief = label["px"][n - lattice_n:], label["belief"][n - lattice_n:]
+    samples = {tuple((p // step).astype(int)): (p, b) for p, b in zip(px, belief)}
+    z_of = {k: float(depth[int(p[1]), int(p[0])]) for k, (p, _) in samples.items()}
+    rows, columns = -(-height // CELL), -(-width // CELL)
+    cells = np.zeros((rows, columns))
+    for cy in range(rows):
+        for cx in range(columns):
+            center = np.array([cx, cy]) * CELL + CELL / 2 - 0.5
+            z = float(depth[min(cy * CELL + CELL // 2, height - 1), min(cx * CELL + CELL // 2, width - 1)])
+            bx, by = cx * CELL // step, cy * CELL // step
+            total = weights = 0.0
+            for y in range(by - 1, by + 2):
+                for x in range(bx - 1, bx + 2):
+                    if (x, y) in samples:
+                        p, b = samples[x, y]
+                        w = np.maximum(1 - np.abs(p - center) / (1.5 * step), 0).prod()
+                        if z > 0:
+                            w *= np.exp(-0.5 * ((z_of[x, y] - z) / (config["labels"]["edge_ratio"] * z)) ** 2) + 1e-6
+                        total, weights = total + w * b, weights + w
+            cells[cy, cx] = 255 * (weights > 0 and total > config["crf"]["threshold"] * weights)
+    checks.same(run, "cells", cells, "numpy: decision 005")
+    cell = np.floor((keypoints["px"] + 0.5) / CELL).astype(int)
+    at = lambda mask: mask[np.minimum(cell[:, 1], rows - 1), np.minimum(cell[:, 0], columns - 1)] > 0
+    moving = at(cells)
+    with_depth = np.flatnonzero(~np.isnan(keypoints["depth_m"]))
+    moving[with_depth] |= label["belief"][:len(with_depth)] > config["crf"]["threshold"]
+    checks.same(run, "label", moving, "numpy")
+    reach = -(-config["labels"]["reach_px"] // CELL)
+    near = ndimage.maximum_filter(cells, size=2 * reach + 1, mode="constant")
+    checks.same(run, "in_use", ~moving & ~at(near), "scipy: dilation by a square")
+
+
+def check_tracks(checks, run, max_residual):
+    points, starts = run["points"], run["starts"].copy()
+    found, status, error = cv2.calcOpticalFlowPyrLK(run["from"], run["to"], points, starts, winSize=(21, 21), maxLevel=1,
+                                                    flags=cv2.OPTFLOW_USE_INITIAL_FLOW)
+    error = error.ravel()
+    tracked = (status.ravel() == 1) & ~(error > max_residual)
+    checks.same(run, "tracked", tracked, "opencv")
+    keep = tracked & (run["tracked"] == 1)
+    part = Run({"xy": run["xy"][keep], "residual": run["residual"][keep]})
+    part.stage, part.name = run.stage, run.name
+    checks.same(part, "xy", found[keep], "opencv", abs_=1e-2)
+    checks.same(part, "residual", error[keep], "opencv", abs_=3e-2)
+
+
+def check_flow(checks, run, config):
+    c = config["flow"]
+    static, suspect = (run[f"{n}_flow"] - run[f"{n}_predicted"] for n in ("static", "suspect"))
+    static = static[~np.isnan(static).any(1)]
+    mean, covariance, _ = flow.trimmed(static, c["covariance_floor_px2"])
+    covariance = covariance + c["covariance_floor_px2"] * flow.mp.eye(2)
+    checks.same(run, "mean", flow.array(mean).ravel(), "gen/flow.py, mpmath", abs_=1e-12)
+    checks.same(run, "covariance", flow.array(covariance), "gen/flow.py, mpmath", rel=1e-10)
+    known = ~np.isnan(suspect).any(1)
+    distance = np.full(len(suspect), np.nan)
+    distance[known] = flow.mahalanobis2(suspect[known], mean, covariance)
+    checks.same(run, "distance2", distance, "gen/flow.py, mpmath", rel=1e-10)
+    checks.same(run, "inside", distance <= c["chi2"], "gen/flow.py, mpmath")
+
+
+def check_label_map(checks, run, config):
+    u = config["crf"]["unary"]
+    cues = ["reprojection", "depth", "observations", "epipolar"]
+    o = crf.DEFAULT_UNARY | {key: [u[c][key] for c in cues] for key in ("mean", "sigma", "side", "weight")}
+    o |= {key: u[key] for key in ("height", "pooling", "clamp", "min_observations")}
+    log_odds = np.array([float(crf.unary(row, o)[2]) for row in run["cues"]])
+    nodes = {"p_world": run["p_world"], "uv_px": run["uv_px"], "reproj_px": run["cues"][:, 0], "observations": run["cues"][:, 2]}
+    q = field(nodes, config, log_odds)
+    thin = run["cues"][:, 2] < u["min_observations"]
+    q = np.where(thin & ~np.isnan(run["previous"]), run["previous"], q)
+    checks.same(run, "belief", q, "gen/crf.py, every pair", abs_=2e-3)
+    checks.same(run, "label", q > config["crf"]["threshold"], "gen/crf.py, every pair")
+
+
+def check_bundle(checks, run, intrinsics, bf):
+    """Ten steps need not end at the optimum: what is checked is the cost of what was found, and that nothing near it is
+    cheaper by more than a hundredth of what was gained."""
+    data = dict(uv=run["uv_px"], sigma=run["sigma_px"], right=np.stack([run["third_px"], run["third_sigma_px"]], 1),
+                rotation=run["poses_after"][:, :, :3], t=run["poses_after"][:, :, 3], points=run["points_after"],
+                fixed=run["fixed"] == 1, observed=run["observation"])
+    bundle.K = tuple(intrinsics)
+    of_pose, of_point = run["observation"].T
+    blocks = bundle.blocks
+
+    def cost(rotation, t, points):
+        r, has = blocks(data, rotation[of_pose], t[of_pose], points[of_point], intrinsics, bf)
+        s, d2 = (r * r).sum(1), bundle.deltas2(has)
+        return 0.5 * np.where(s <= d2, s, 2 * np.sqrt(d2 * s) - d2).sum(), s <= d2
+
+    before = cost(run["poses_before"][:, :, :3], run["poses_before"][:, :, 3], run["points_before"])[0]
+    after, inlier = cost(data["rotation"], data["t"], data["points"])
+    checks.same(run, "cost", [before, after], "numpy: the cost of both ends", rel=1e-9)
+    checks.same(run, "inlier", inlier, "numpy")
+    bundle.blocks = lambda *a: blocks(*a, intrinsics, bf)
+    least = cost(*bundle.solve_scipy(data))[0]
+    bundle.blocks = blocks
+    gap = (after - least) / (before - least)
+    if not gap <= 1e-2:
+        checks.problems.append(f"{run.name}: cost {before} to {after}; scipy goes on to {least}")
+        return
+    basis = f"scipy: the optimum is {gap:.0e} of the gain lower"
+    for name in ("poses_after", "points_after"):
+        checks.same(run, name, run[name], basis)
+
+
+def check_train(checks, run, gaussians, camera, config):
+    """The picture of the map inserted, drawn dense and in 80 bits, and the loss of the picture drawn."""
+    level = int(run["level"][0])
+    width, height = (-(-n // 2 ** level) for n in camera["size"])
+    pose = run["camera_from_world"]
+    if gaussians is not None:
+        keep = gaussians["label"] == 0
+        quaternion = quaternion_of(pose[:, :3])
+        sh = gaussians["sh"][keep]
+        scene = {"size": (width, height), "intrinsics": [v / 2 ** level for v in camera["fx_fy_cx_cy"]], "q": quaternion,
+                 "t": pose[:, 3], "background": np.zeros(3)}
+        scene |= {name: gaussians[name][keep].astype(float) for name in ("means", "quaternions", "log_scales", "opacity_logits")} | {"sh": sh.astype(float)}
+        drawn, _ = raster.render(scene)
+        for name, other in [("color", drawn["color"][0]), ("depth_m", drawn["depth"][0]), ("opacity", 1 - drawn["transmittance"][0])]:
+            checks.same(run, name, other, "gen/raster.py, dense, 80 bits", abs_=2e-4, share=2e-2)
+    t, excluded = config["train"], run["excluded"] == 0
+    x, y = run["color"].astype(float), run["target"].astype(float)
+    photo = (1 - t["lambda_ssim"]) * losses.l1(x, y, excluded) + t["lambda_ssim"] * (1 - losses.ssim(x, y, excluded))
+    measured, opacity = run["measured_m"].astype(float), run["opacity"].astype(float)
+    judged = excluded & np.isfinite(measured) & (measured > 0) & (opacity >= 0.5)
+    depth = np.abs(run["depth_m"].astype(float)[judged] / opacity[judged] - measured[judged]).sum() / max(judged.sum(), 1)
+    loss = t["lambda_photometric"] * photo + t["lambda_depth"] * depth
+    if gaussians is not None:  # later iterations have moved the opacities that are punished
+        moving = 1 / (1 + np.exp(-gaussians["opacity_logits"][gaussians["label"] == 1].astype(float)))
+        checks.same(run, "loss", [loss + t["lambda_dynamic"] * (moving ** 2).sum()], "gen/losses.py", rel=1e-5)
+
+
+def quaternion_of(rotation):
+    x, y, z, w = pose_lm.Rotation.from_matrix(rotation).as_quat()
+    return np.array([w, x, y, z])
+
+
+def main():
+    default = pathlib.Path(__file__).resolve().parent.parent / "trace/walking_4_to_6"
+    folder = pathlib.Path(sys.argv[1]) if sys.argv[1:] else default
+    index, runs = load(folder)
+    config = tomllib.loads((folder / "config.toml").read_text())
+    camera = index["about"]["camera"]
+    intrinsics, bf = camera["fx_fy_cx_cy"], config["tracking"]["bf"]
+    checks = Checks()
+    get = lambda frame, stage, call=0: runs.get((frame, stage, call))
+    for (frame, stage, call), run in runs.items():
+        rgb, depth = get(frame, "input")["rgb"], get(frame, "input")["depth_m"]
+        if stage == "orb":
+            check_orb(checks, run, rgb, config)
+        elif stage == "keypoints":
+            check_keypoints(checks, run, get(frame, "orb"), depth, config)
+        elif stage == "predict":
+            full = lambda m: np.vstack([m, [0, 0, 0, 1]])
+            checks.same(run, "predicted", (full(run["velocity"]) @ full(run["last"]))[:3], "numpy: a product of matrices", abs_=1e-14)
+        elif stage == "pose":
+            check_pose(checks, run, intrinsics, bf)
+        elif stage == "label":
+            check_label(checks, run, config)
+        elif stage == "masks":
+            check_masks(checks, run, get(frame, "label"), get(frame, "keypoints"), depth, config)
+        elif stage in ("flow_lk", "refine"):
+            check_tracks(checks, run, config["refine"]["max_residual"])
+        elif stage == "flow":
+            check_flow(checks, run, config)
+        elif stage == "label_map":
+            check_label_map(checks, run, config)
+        elif stage == "bundle":
+            check_bundle(checks, run, intrinsics, bf)
+        elif stage == "train":
+            check_train(checks, run, get(frame, "insert") if call == 0 else None, camera, config)
+        elif stage == "trajectory":
+            last = [r["after"] for k, r in runs.items() if k[:2] == (frame, "pose")][-1]
+            adjusted = get(frame, "bundle")
+            checks.same(run, "camera_from_world", last if adjusted is None else adjusted["poses_after"][0], "the stage before")
+    outputs = [e for e in index["tensors"] if e["role"] == "output"]
+    names = sorted({f"{e['stage']}/{e['tensor']}" for e in outputs})
+    count = lambda name: sum(f"{e['stage']}/{e['tensor']}" == name for e in outputs)
+    basis = {}
+    for name in names:
+        found = checks.found.get(name)
+        basis[name] = {"basis": "pin"} if found is None else found | {"worst": float(f"{found['worst']:.1e}")}
+        if found and found["tensors"] < count(name):
+            basis[name]["pinned"] = count(name) - found["tensors"]
+    checked = sum(f["tensors"] for f in checks.found.values())
+    lines = [f'  {json.dumps(name)}: {json.dumps(basis[name])}' for name in names]
+    (folder / "basis.json").write_text("{\n" + ",\n".join(lines) + "\n}\n")
+    for problem in checks.problems:
+        print("NOT CONFIRMED:", problem)
+    print(f"{checked} of {len(outputs)} outputs computed again from their inputs; {len(outputs) - checked} are pins against change")
+    sys.exit(1 if checks.problems else 0)
+
+
+if __name__ == "__main__":
+    main()
