@@ -25,5 +25,6 @@ pub mod pictures;
 pub mod progress;
 pub mod render_quality;
 pub mod runner;
+pub mod session;
 pub mod stopwatch;
 pub mod trace;

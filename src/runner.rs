@@ -1,14 +1,17 @@
-//! [`run`]: a recording through the system, frame by frame.
+//! [`run`]: a recording through the system, frame by frame; [`Run`]: the same with a pause.
 
+use std::io::{Read, Write};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use garad_core::{Camera, GaussianMap, Label, MaskImage, Par, RgbImage, StampedPose};
 use garad_eval::{Confusion, RunLabels};
 use garad_slam::labels::FrameLabels;
-use garad_slam::{Config, FrameInput, FrameReport, Slam, TrackingState};
+use garad_slam::session::{SectionReader, SectionWriter};
+use garad_slam::{Config, FrameInput, FrameReport, SessionError, Slam, TrackingState};
 
 use crate::progress::Progress;
+use crate::session::Recording;
 use crate::stopwatch::{SharedStopwatch, Stopwatch};
 
 /// A frame as the runner wants it.
@@ -136,61 +139,219 @@ pub fn run(
     total: usize,
     options: &RunOptions,
 ) -> Result<RunResult> {
-    let begun = Instant::now();
-    let par = Par::new(options.threads);
-    let mapping = SharedStopwatch::default();
-    let mut slam = Slam::new(*camera, options.config.clone(), options.seed, par)
-        .context("the run cannot start")?
-        .with_mapping_observer(Box::new(mapping.clone()));
-    let mut result = Collected::default();
-    let mut progress = Progress::new("tracking", total, options.quiet);
-    let mut waiting = Instant::now();
-    for (i, frame) in frames.enumerate() {
-        result.stopwatch.record("wait_for_frame", waiting.elapsed());
-        let outcome = frame.and_then(|frame| {
-            let report = result.process(&mut slam, &frame)?;
-            Ok((frame, report))
-        });
-        match outcome {
-            Ok((frame, report)) => {
-                if is_snapshot(i, total) {
-                    result.snapshots.push(snapshot(&slam, frame, &report));
-                }
-                progress.step(&state_line(&report, slam.map().keyframes().len()));
-                result.frames.push(report);
-            }
-            Err(error) => {
-                progress.step("frame skipped");
-                result.skipped.push(format!("{error:#}"));
-                if options.strict {
-                    result.stopped_by = Some(error);
-                    break;
-                }
-            }
-        }
-        waiting = Instant::now();
+    let mut run = Run::new(camera, options)?;
+    run.process(frames, total);
+    run.finish()
+}
+
+/// A run that can be put aside: begun or resumed, taken through frames, saved, finished.
+#[derive(Debug)]
+pub struct Run {
+    slam: Slam,
+    options: RunOptions,
+    mapping: SharedStopwatch,
+    collected: Collected,
+    /// Frames of the recording that are done, those left out included.
+    done: usize,
+    begun: Instant,
+    /// Wall time of the parts before this one.
+    earlier_s: f64,
+}
+
+impl Run {
+    /// Nothing seen yet.
+    ///
+    /// # Errors
+    /// Configuration or camera that cannot be.
+    pub fn new(camera: &Camera, options: &RunOptions) -> Result<Self> {
+        let par = Par::new(options.threads);
+        let slam = Slam::new(*camera, options.config.clone(), options.seed, par)
+            .context("the run cannot start")?;
+        Ok(Self::with(slam, options.clone()))
     }
-    progress.finish();
-    let waiting = Instant::now();
-    slam.finish().context("the map is lost")?;
-    result.stopwatch.record("handover", waiting.elapsed());
-    train(&mut slam, &mut result, options);
-    result.stopwatch.merge(&mapping.take());
-    let failed = slam.mapped().iter().filter_map(|done| done.error.clone());
-    result.skipped.extend(failed);
-    Ok(RunResult {
-        trajectory: slam.trajectory(),
-        slam,
-        threads: options.threads.max(1),
-        frames: result.frames,
-        skipped: result.skipped,
-        stopped_by: result.stopped_by,
-        stopwatch: result.stopwatch,
-        wall_s: begun.elapsed().as_secs_f64(),
-        snapshots: result.snapshots,
-        labels: (!result.judged.frames.is_empty()).then_some(result.judged),
-        found: result.found,
-    })
+
+    /// A run that [`Run::save`] put aside, and the recording it was made from. Camera, configuration and
+    /// seed must be those of then; the number of threads and how long the map is refined at the end
+    /// may be others.
+    ///
+    /// # Errors
+    /// A state that cannot be read, or the first thing in which the two differ.
+    pub fn resume(
+        input: &mut impl Read,
+        camera: &Camera,
+        options: &RunOptions,
+    ) -> Result<(Self, Recording)> {
+        let begun = Instant::now();
+        let mut slam = Slam::load(input, Par::new(options.threads))?;
+        slam.go_on_with(camera, &options.config, options.seed)?;
+        let mut run = Self::with(slam, options.clone());
+        let mut from = SectionReader::new(input)?;
+        let recording = from.take("recording")?;
+        run.done = from.take("done")?;
+        run.earlier_s = from.take("earlier_s")?;
+        run.collected.load(&mut from)?;
+        let stopwatch = &mut run.collected.stopwatch;
+        stopwatch.record("load_session", begun.elapsed());
+        Ok((run, recording))
+    }
+
+    /// Tracking in the map of a run that [`Run::save`] put aside, which stays as it is. Configuration
+    /// and seed are those of then.
+    ///
+    /// # Errors
+    /// A state that cannot be read, or a camera that is another.
+    pub fn localise(input: &mut impl Read, camera: &Camera, options: &RunOptions) -> Result<Self> {
+        let begun = Instant::now();
+        let mut slam = Slam::load(input, Par::new(options.threads))?;
+        let loaded = begun.elapsed();
+        slam.same_camera(camera)?;
+        slam.localise_only()?;
+        let mut options = RunOptions {
+            config: slam.config().clone(),
+            seed: slam.seed(),
+            ..options.clone()
+        };
+        options.config.train.refine = 0;
+        let mut run = Self::with(slam, options);
+        run.collected.stopwatch.record("load_session", loaded);
+        Ok(run)
+    }
+
+    fn with(slam: Slam, options: RunOptions) -> Self {
+        let mapping = SharedStopwatch::default();
+        Self {
+            slam: slam.with_mapping_observer(Box::new(mapping.clone())),
+            options,
+            mapping,
+            collected: Collected::default(),
+            done: 0,
+            begun: Instant::now(),
+            earlier_s: 0.0,
+        }
+    }
+
+    /// Frames of the recording that are done, those left out included.
+    #[must_use]
+    pub fn done(&self) -> usize {
+        self.done
+    }
+
+    /// The system after the last frame.
+    #[must_use]
+    pub fn slam(&self) -> &Slam {
+        &self.slam
+    }
+
+    /// Writes everything that the rest of the run and its results depend on. Pictures kept for the report
+    /// are not among it: that of a resumed run shows moments of its last part.
+    ///
+    /// # Errors
+    /// What cannot be written; a mapping thread that broke down.
+    pub fn save(
+        &mut self,
+        out: &mut impl Write,
+        recording: &Recording,
+    ) -> Result<(), SessionError> {
+        let saving = Instant::now();
+        self.slam.save(out)?;
+        let Self {
+            slam: _,    // written
+            options: _, // threads and the like; the rest is in the system
+            mapping,
+            collected,
+            done,
+            begun,
+            earlier_s,
+        } = self;
+        collected.stopwatch.merge(&mapping.take());
+        let mut to = SectionWriter::new(out)?;
+        to.put("recording", recording)?;
+        to.put("done", done)?;
+        to.put("earlier_s", &(*earlier_s + begun.elapsed().as_secs_f64()))?;
+        collected.save(&mut to)?;
+        collected.stopwatch.record("save_session", saving.elapsed());
+        Ok(())
+    }
+
+    /// Takes the next frames through the system. `total` is the number of frames of the recording, those
+    /// done before included. A frame that cannot be read is skipped and counted, or, if `strict`, ends
+    /// the run.
+    pub fn process(&mut self, frames: impl Iterator<Item = Result<SourceFrame>>, total: usize) {
+        let Self {
+            slam,
+            options,
+            collected: result,
+            done,
+            ..
+        } = self;
+        let left = total.saturating_sub(*done);
+        let mut progress = Progress::new("tracking", left, options.quiet);
+        let mut waiting = Instant::now();
+        for frame in frames {
+            let i = *done;
+            *done += 1;
+            result.stopwatch.record("wait_for_frame", waiting.elapsed());
+            let outcome = frame.and_then(|frame| {
+                let report = result.process(slam, &frame)?;
+                Ok((frame, report))
+            });
+            match outcome {
+                Ok((frame, report)) => {
+                    if is_snapshot(i, total) {
+                        result.snapshots.push(snapshot(slam, frame, &report));
+                    }
+                    progress.step(&state_line(&report, slam.map().keyframes().len()));
+                    result.frames.push(report);
+                }
+                Err(error) => {
+                    progress.step("frame skipped");
+                    result.skipped.push(format!("{error:#}"));
+                    if options.strict {
+                        result.stopped_by = Some(error);
+                        break;
+                    }
+                }
+            }
+            waiting = Instant::now();
+        }
+        progress.finish();
+    }
+
+    /// Takes over the last mapping jobs and trains the map, if that was asked for.
+    ///
+    /// # Errors
+    /// A mapping thread that broke down.
+    pub fn finish(self) -> Result<RunResult> {
+        let Self {
+            mut slam,
+            options,
+            mapping,
+            collected: mut result,
+            done: _,
+            begun,
+            earlier_s,
+        } = self;
+        let waiting = Instant::now();
+        slam.finish().context("the map is lost")?;
+        result.stopwatch.record("handover", waiting.elapsed());
+        train(&mut slam, &mut result, &options);
+        result.stopwatch.merge(&mapping.take());
+        let failed = slam.mapped().iter().filter_map(|done| done.error.clone());
+        result.skipped.extend(failed);
+        Ok(RunResult {
+            trajectory: slam.trajectory(),
+            slam,
+            threads: options.threads.max(1),
+            frames: result.frames,
+            skipped: result.skipped,
+            stopped_by: result.stopped_by,
+            stopwatch: result.stopwatch,
+            wall_s: earlier_s + begun.elapsed().as_secs_f64(),
+            snapshots: result.snapshots,
+            labels: (!result.judged.frames.is_empty()).then_some(result.judged),
+            found: result.found,
+        })
+    }
 }
 
 /// Trains the map after the last frame. An error leaves the map as it was then, and is named among
@@ -214,7 +375,7 @@ fn train(slam: &mut Slam, result: &mut Collected, options: &RunOptions) {
     }
 }
 
-#[derive(Default)]
+#[derive(Debug, Default)]
 struct Collected {
     frames: Vec<FrameReport>,
     skipped: Vec<String>,
@@ -226,6 +387,32 @@ struct Collected {
 }
 
 impl Collected {
+    fn save<W: Write>(&self, to: &mut SectionWriter<W>) -> Result<(), SessionError> {
+        let Self {
+            frames,
+            skipped,
+            stopped_by: _, // the frame is counted among those skipped
+            stopwatch,
+            snapshots: _, // of one part only
+            judged,
+            found,
+        } = self;
+        to.put("frames", frames)?;
+        to.put("skipped", skipped)?;
+        to.put("stopwatch", stopwatch)?;
+        to.put("judged", judged)?;
+        to.put("found", found)
+    }
+
+    fn load<R: Read>(&mut self, from: &mut SectionReader<R>) -> Result<(), SessionError> {
+        self.frames = from.take("frames")?;
+        self.skipped = from.take("skipped")?;
+        self.stopwatch = from.take("stopwatch")?;
+        self.judged = from.take("judged")?;
+        self.found = from.take("found")?;
+        Ok(())
+    }
+
     fn process(&mut self, slam: &mut Slam, frame: &SourceFrame) -> Result<FrameReport> {
         let input = FrameInput {
             t_s: frame.t_s,

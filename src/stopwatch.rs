@@ -6,10 +6,12 @@ use std::time::{Duration, Instant};
 
 use garad_eval::StageTiming;
 use garad_slam::{Observer, Stage};
+use serde::{Deserialize, Serialize};
 
 /// Collects the duration of every call of every stage.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Serialize, Deserialize)]
 pub struct Stopwatch {
+    #[serde(skip)]
     begun: Option<Instant>,
     durations_ms: BTreeMap<String, Vec<f64>>,
 }

@@ -7,9 +7,13 @@ use clap::ValueEnum;
 use garad::output::{self, Judged};
 use garad::progress::note;
 use garad::render_quality;
-use garad::runner::{self, SourceFrame};
+use garad::runner::{Run, RunOptions, RunResult, SourceFrame};
+use garad::session::{self, Recording, fingerprint};
 use garad_core::{MaskImage, Par};
-use garad_dataset::{Dataset, Frame, MASK_FOLDER, OpenOptions, Preset, bonn_camera_from_marker};
+use garad_dataset::{
+    Dataset, Frame, MASK_FOLDER, OpenOptions, Preset, bonn_camera_from_marker,
+    write_bytes_atomically,
+};
 
 use super::{CommonArgs, make_folder, say};
 
@@ -29,6 +33,19 @@ pub(crate) struct Args {
     /// are against those raw poses.
     #[arg(long, value_enum, default_value_t = GroundTruth::Raw)]
     ground_truth: GroundTruth,
+    /// Put the whole state aside after the last frame, or after `--max-frames`, to go on from there.
+    #[arg(long, value_name = "DIR")]
+    save_session: Option<PathBuf>,
+    /// Go on with the frame after the last one of a session; the results are those of a run without
+    /// a break. Everything else must be given as it was then.
+    #[arg(long, value_name = "DIR")]
+    resume: Option<PathBuf>,
+    /// Only track, in the finished map of a session, which stays as it is. The configuration is the
+    /// session's; `frames.csv` says which frames were tracked.
+    #[arg(long, value_name = "DIR", conflicts_with_all = [
+        "resume", "save_session", "config", "without", "refine", "seed", "oracle_labels",
+    ])]
+    localise: Option<PathBuf>,
 }
 
 /// Which frames of a recording, seen by which camera.
@@ -115,12 +132,25 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         .clone()
         .unwrap_or_else(|| PathBuf::from("out").join(dataset.name()));
     make_folder(&out)?;
-    let result = runner::run(
-        &dataset.calibration().camera,
-        frames(&dataset, oracle.as_ref(), truth.as_ref()),
-        dataset.len(),
-        &run_options,
-    )?;
+    if let Some(folder) = &args.save_session {
+        session::prepare(folder)?;
+    }
+    let mut run = begin(args, &dataset, oracle.as_ref(), &run_options)?;
+    if run.done() > 0 && !run_options.quiet {
+        say(&format!("resumed after {} frames", run.done()))?;
+    }
+    // What has come into the room since then is not asked for, so it is not judged.
+    let judged_by = truth.as_ref().filter(|_| args.localise.is_none());
+    let input = frames_from(run.done(), &dataset, oracle.as_ref(), judged_by);
+    run.process(input, dataset.len());
+    let saved = match &args.save_session {
+        Some(folder) => {
+            let recording = recording(&dataset, oracle.as_ref(), run.done());
+            session::save(folder, &mut run, &recording)
+        }
+        None => Ok(()),
+    };
+    let result = run.finish()?;
 
     let protocol = match (args.ground_truth, dataset.preset()) {
         (GroundTruth::Camera, _) => "ground truth moved from marker to camera",
@@ -142,6 +172,9 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         judged.metrics.render_depth = quality.depth;
     }
     output::write(&out, &result, &judged, dataset.warnings())?;
+    if args.localise.is_some() {
+        write_bytes_atomically(&out.join("frames.csv"), frames_csv(&result).as_bytes())?;
+    }
     if result.stopped_by.is_none() {
         warn_of_skipped(&result.skipped);
     }
@@ -149,6 +182,10 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         say(&line)?;
     }
     say(&format!("results in {}", out.display()))?;
+    saved.context("the session is not saved; results are written")?;
+    if let Some(folder) = &args.save_session {
+        say(&format!("session in {}", folder.display()))?;
+    }
     if let Some(error) = result.stopped_by {
         return Err(error.context("stopped by --strict; results so far are written"));
     }
@@ -156,6 +193,65 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         bail!("no frame could be tracked; results are written");
     }
     Ok(())
+}
+
+/// A run from the start, from a session, or in the map of one.
+fn begin(
+    args: &Args,
+    dataset: &Dataset,
+    oracle: Option<&Masks>,
+    options: &RunOptions,
+) -> Result<Run> {
+    let camera = &dataset.calibration().camera;
+    if let Some(folder) = &args.localise {
+        let (mut input, path) = session::open(folder)?;
+        return Run::localise(&mut input, camera, options)
+            .with_context(|| path.display().to_string());
+    }
+    let Some(folder) = &args.resume else {
+        return Run::new(camera, options);
+    };
+    let (mut input, path) = session::open(folder)?;
+    let (run, then) =
+        Run::resume(&mut input, camera, options).with_context(|| path.display().to_string())?;
+    let mut now = recording(dataset, oracle, run.done());
+    now.times_s = times(dataset, dataset.len());
+    then.check(&now)
+        .with_context(|| folder.display().to_string())?;
+    Ok(run)
+}
+
+/// What the recording is known by after so many frames.
+fn recording(dataset: &Dataset, oracle: Option<&Masks>, done: usize) -> Recording {
+    let seen = |i: usize| {
+        let frame = dataset.read(i).ok().filter(|_| i < done)?;
+        let mask = oracle.and_then(|masks| masks.read(dataset, i).ok()?);
+        Some(fingerprint(&frame.rgb, &frame.depth, mask.as_ref()))
+    };
+    Recording {
+        name: dataset.name().to_owned(),
+        given_masks: oracle.is_some(),
+        times_s: times(dataset, done),
+        pictures: [0, done.saturating_sub(1)].map(seen),
+    }
+}
+
+/// Times of the first n frames.
+fn times(dataset: &Dataset, n: usize) -> Vec<f64> {
+    (0..n).filter_map(|i| dataset.timestamp(i)).collect()
+}
+
+/// Frame by frame, whether it was tracked.
+fn frames_csv(result: &RunResult) -> String {
+    let mut rows = String::from("frame,t_s,state,inliers\n");
+    for frame in &result.frames {
+        let (state, inliers) = (frame.state.name(), frame.inliers);
+        rows.push_str(&format!(
+            "{},{:.6},{state},{inliers}\n",
+            frame.id.0, frame.t_s
+        ));
+    }
+    rows
 }
 
 /// The first few frames left out, and how many more; the report names them all.
@@ -177,7 +273,17 @@ pub(crate) fn frames<'a>(
     oracle: Option<&'a Masks>,
     truth: Option<&'a Masks>,
 ) -> impl Iterator<Item = Result<SourceFrame>> + 'a {
-    dataset.frames(PREFETCH).map(move |frame| {
+    frames_from(0, dataset, oracle, truth)
+}
+
+/// [`frames`] without the first ones.
+fn frames_from<'a>(
+    first: usize,
+    dataset: &'a Dataset,
+    oracle: Option<&'a Masks>,
+    truth: Option<&'a Masks>,
+) -> impl Iterator<Item = Result<SourceFrame>> + 'a {
+    dataset.frames_from(first, PREFETCH).map(move |frame| {
         let frame = frame?;
         let i = frame.id.index();
         let mask =

@@ -11,6 +11,7 @@ mod judging;
 mod labelling;
 mod rendering;
 mod results;
+mod session;
 mod settings;
 mod support;
 mod synthesis;

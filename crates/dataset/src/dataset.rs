@@ -192,7 +192,13 @@ impl Dataset {
     /// 0 they are decoded when asked for, on the asking thread.
     #[must_use]
     pub fn frames(&self, prefetch: usize) -> Frames {
-        Frames::new(self.clone(), prefetch)
+        self.frames_from(0, prefetch)
+    }
+
+    /// [`Dataset::frames`] from frame `first` on; those before are not decoded.
+    #[must_use]
+    pub fn frames_from(&self, first: usize, prefetch: usize) -> Frames {
+        Frames::new(self.clone(), first, prefetch)
     }
 
     /// The mask of frame i from a folder of masks: `<timestamp as in rgb.txt>.png`, or named as

@@ -1,5 +1,6 @@
 //! [`Frames`]: frames in order, decoded ahead.
 
+use std::ops::Range;
 use std::panic::resume_unwind;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::{Builder, JoinHandle};
@@ -27,42 +28,45 @@ struct Ahead {
 }
 
 impl Frames {
-    pub(crate) fn new(dataset: Dataset, prefetch: usize) -> Self {
+    pub(crate) fn new(dataset: Dataset, first: usize, prefetch: usize) -> Self {
         // Without a thread (none asked for, or none to be had) frames are decoded when asked for.
         let ahead = (prefetch > 0)
             .then(|| {
                 let dataset = dataset.clone();
-                Ahead::start(dataset.len(), prefetch, move |i| dataset.read(i))
+                Ahead::start(first..dataset.len(), prefetch, move |i| dataset.read(i))
             })
             .flatten();
         Self {
             dataset,
-            next: 0,
+            next: first,
             ahead,
         }
     }
 }
 
 impl Ahead {
-    /// Starts to read frames 0..len; `None` if there is no thread to be had.
+    /// Starts to read these frames; `None` if there is no thread to be had.
     fn start(
-        len: usize,
+        frames: Range<usize>,
         prefetch: usize,
         read: impl Fn(usize) -> Result<Frame, DatasetError> + Send + 'static,
     ) -> Option<Self> {
         // One more frame waits in the hand of the thread, so the channel holds one less.
-        let (sender, frames) = sync_channel(prefetch - 1);
+        let (sender, decoded) = sync_channel(prefetch - 1);
         let thread = Builder::new()
             .name("decode".to_owned())
             .spawn(move || {
-                for i in 0..len {
+                for i in frames {
                     if sender.send(read(i)).is_err() {
                         return; // nobody listens any more
                     }
                 }
             })
             .ok()?;
-        Some(Self { frames, thread })
+        Some(Self {
+            frames: decoded,
+            thread,
+        })
     }
 
     /// The next frame; `None` when the thread has ended.
@@ -103,7 +107,7 @@ impl Iterator for Frames {
     }
 
     fn size_hint(&self) -> (usize, Option<usize>) {
-        let left = self.dataset.len() - self.next;
+        let left = self.dataset.len().saturating_sub(self.next);
         (left, Some(left))
     }
 }
@@ -128,7 +132,7 @@ mod tests {
 
     #[test]
     fn a_panic_goes_on_where_the_frame_was_asked_for() {
-        let ahead = Ahead::start(5, 2, |i| {
+        let ahead = Ahead::start(0..5, 2, |i| {
             assert!(i < 1, "frame {i} burnt down");
             Err(DatasetError::Option {
                 option: "frame",

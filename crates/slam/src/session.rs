@@ -246,7 +246,7 @@ impl Slam {
         config: &Config,
         seed: u64,
     ) -> Result<(), SessionError> {
-        same("camera", &self.camera, camera)?;
+        self.same_camera(camera)?;
         same("seed", &self.seed, &seed)?;
         let mut expected = self.config.clone();
         if self.config.train.keeps_views() == config.train.keeps_views() {
@@ -255,6 +255,20 @@ impl Slam {
         same("configuration", &expected, config)?;
         self.config = expected;
         Ok(())
+    }
+
+    /// Checks that the run was made with this camera.
+    ///
+    /// # Errors
+    /// [`SessionError::Differs`] with the first field that is another.
+    pub fn same_camera(&self, camera: &Camera) -> Result<(), SessionError> {
+        same("camera", &self.camera, camera)
+    }
+
+    /// The seed of everything random.
+    #[must_use]
+    pub fn seed(&self) -> u64 {
+        self.seed
     }
 
     /// From here on frames are tracked in the map as it is: nothing is added to it, nothing in it

@@ -1,0 +1,350 @@
+//! A run put aside and resumed, tracking in a finished map, and what is said of sessions that are no good.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use crate::support::{
+    Answer, Bench, arg, assert_same_results, copy, long, metrics, recording, run_into, short,
+    walking,
+};
+
+/// Labels, too, must not change.
+#[track_caller]
+fn assert_same_run(a: &Path, b: &Path) {
+    assert_same_results(a, b);
+    for name in [
+        "labels/keypoints.csv",
+        "labels/gaussians.csv",
+        "labels/gaussians.ply",
+    ] {
+        let read = |folder: &Path| fs::read(folder.join(name)).expect("a result");
+        assert!(read(a) == read(b), "{name} differs");
+    }
+}
+
+/// The first eleven frames of [`walking`], put aside: a folder to copy from.
+fn put_aside() -> &'static Path {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(|| {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("session");
+        let (out, session) = (folder.join("out"), folder.join("session"));
+        if session.exists() {
+            fs::remove_dir_all(&session).expect("that of an earlier test is removed");
+        }
+        let options = [
+            "--max-frames",
+            "11",
+            "--threads",
+            "2",
+            "--save-session",
+            arg(&session),
+        ];
+        run_into(walking(), &out, &options).succeeds();
+        session
+    })
+}
+
+fn state(session: &Path) -> PathBuf {
+    ["state-a.bin", "state-b.bin"]
+        .map(|name| session.join(name))
+        .into_iter()
+        .find(|path| path.exists())
+        .expect("a state")
+}
+
+/// `garad run --resume` of [`walking`] from a session, with options.
+fn resume(bench: &Bench, session: &Path, options: &[&str]) -> Answer {
+    let options: Vec<_> = ["--resume", arg(session)]
+        .iter()
+        .chain(options)
+        .copied()
+        .collect();
+    bench.run_on(walking(), &options)
+}
+
+/// A calibration for pictures of the size of [`walking`], but not theirs.
+fn other_lens(bench: &Bench) -> PathBuf {
+    let path = bench.path("lens.txt");
+    fs::write(&path, "160 120 99 99 80 60 5000 30\n").expect("written");
+    path
+}
+
+/// A copy of [`put_aside`] to be damaged.
+fn own(bench: &Bench) -> PathBuf {
+    let session = bench.path("session");
+    copy(put_aside(), &session);
+    session
+}
+
+#[test]
+fn a_run_in_two_parts_ends_like_a_run_in_one() {
+    let bench = Bench::empty();
+    let whole = bench.path("whole");
+    run_into(walking(), &whole, &["--refine", "5"]).succeeds();
+    for threads in ["1", "2"] {
+        resume(
+            &bench,
+            put_aside(),
+            &["--refine", "5", "--threads", threads],
+        )
+        .succeeds();
+        assert_same_run(&whole, &bench.out());
+        let figures = metrics(&bench.out());
+        assert_eq!(figures["frames"], 12, "those of the first part count");
+        assert_eq!(
+            figures["labels"],
+            metrics(&whole)["labels"],
+            "and are judged"
+        );
+    }
+}
+
+#[test]
+fn a_run_in_many_parts_keeps_one_session() {
+    let bench = Bench::empty();
+    let (whole, session) = (bench.path("whole"), bench.path("session"));
+    run_into(walking(), &whole, &[]).succeeds();
+    let mut options = vec!["--save-session", arg(&session)];
+    for frames in ["2", "5", "6", "12"] {
+        let part = [&options[..], &["--max-frames", frames]].concat();
+        let answer = bench.run_on(walking(), &part).succeeds();
+        assert!(answer.out.contains("session in"), "{answer:?}");
+        let files = fs::read_dir(&session).expect("a folder").count();
+        assert_eq!(files, 2, "the older state is gone");
+        options = vec!["--save-session", arg(&session), "--resume", arg(&session)];
+    }
+    assert_same_run(&whole, &bench.out());
+    let page = fs::read_to_string(session.join("session.json")).expect("the page");
+    let page: serde_json::Value = serde_json::from_str(&page).expect("JSON");
+    assert_eq!(page["frames_done"], 12, "{page}");
+    assert_eq!(page["recording"], "walking_12", "{page}");
+    let keyframes = fs::read_to_string(whole.join("keyframes.txt")).expect("keyframes");
+    let count = keyframes
+        .lines()
+        .filter(|line| !line.starts_with('#'))
+        .count();
+    assert_eq!(page["keyframes"], count, "{page}");
+}
+
+#[test]
+fn a_frame_left_out_stays_left_out() {
+    let bench = Bench::new();
+    let (whole, session) = (bench.path("whole"), bench.path("session"));
+    let depth = bench.read("depth.txt");
+    let file = depth.lines().filter(|line| !line.starts_with('#')).nth(2);
+    let file = file
+        .and_then(|line| line.split_whitespace().nth(1))
+        .expect("a file");
+    bench.write(file, "no picture");
+    run_into(&bench.rec(), &whole, &[]).succeeds();
+    bench
+        .run(&["--max-frames", "4", "--save-session", arg(&session)])
+        .succeeds();
+    bench.run(&["--resume", arg(&session)]).succeeds();
+    assert_same_results(&whole, &bench.out());
+    assert_eq!(
+        metrics(&bench.out())["frames"],
+        6,
+        "five and the one left out"
+    );
+}
+
+#[test]
+fn what_is_not_as_it_was_then_is_named() {
+    let bench = Bench::empty();
+    let few = bench.path("few.toml");
+    fs::write(&few, "[features]\ncount = 700\n").expect("written");
+    let session = put_aside();
+    let differs = |options: &[&str], words: &[&str]| {
+        resume(&bench, session, options).fails_with(words);
+    };
+    differs(&["--seed", "1"], &["seed", "the session has 0, this run 1"]);
+    differs(
+        &["--without", "flow"],
+        &["configuration.flow.enabled", "true", "false"],
+    );
+    differs(
+        &["--config", arg(&few)],
+        &["configuration.features.count", "1000", "700"],
+    );
+    let lens = other_lens(&bench);
+    differs(&["--calibration", arg(&lens)], &["camera.cx"]);
+    differs(&["--first-frame", "1"], &["walking_12", "frame 0 is at"]);
+    differs(&["--max-frames", "3"], &["3 frames", "11 are already done"]);
+    differs(&["--oracle-labels", "mask"], &["--oracle-labels"]);
+    let options = ["--resume", arg(session)];
+    bench
+        .run_on(short(), &options)
+        .fails_with(&["quiet_desk_6"]);
+    // The same times, the same camera, another scene.
+    bench
+        .run_on(&recording("quiet_desk", 12), &options)
+        .fails_with(&["frame 0", "something else", "walking_12"]);
+    assert!(
+        !bench.out().join("trajectory.txt").exists(),
+        "nothing was run"
+    );
+}
+
+#[test]
+fn damaged_sessions_are_named() {
+    let bench = Bench::empty();
+    let session = own(&bench);
+    let file = state(&session);
+    let name = file
+        .file_name()
+        .and_then(|name| name.to_str())
+        .expect("a name")
+        .to_owned();
+    let good = fs::read(&file).expect("read");
+    let refused = |bytes: &[u8], words: &[&str]| {
+        fs::write(&file, bytes).expect("written");
+        let words = [&[name.as_str()], words].concat();
+        for option in ["--resume", "--localise"] {
+            bench
+                .run_on(walking(), &[option, arg(&session)])
+                .fails_with(&words);
+        }
+    };
+    refused(b"", &["not a session"]);
+    refused(b"ply\nformat ascii 1.0\n", &["not a session"]);
+    refused(&good[..good.len() / 3], &["cut off", "section"]);
+    let mut flipped = good.clone();
+    flipped[good.len() / 4] ^= 1;
+    refused(&flipped, &["damaged", "section"]);
+    let mut newer = good.clone();
+    newer[14] += 1; // behind `garad session\n`
+    refused(&newer, &["format 2", "format 1"]);
+    // The part of the run, behind that of the system, counts as well.
+    fs::write(&file, &good[..good.len() - 1]).expect("written");
+    resume(&bench, &session, &[]).fails_with(&[&name, "cut off"]);
+    fs::remove_file(&file).expect("removed");
+    resume(&bench, &session, &[]).fails_with(&[&name, "cannot be read"]);
+}
+
+#[test]
+fn damaged_pages_are_named() {
+    let bench = Bench::empty();
+    let session = own(&bench);
+    let page = session.join("session.json");
+    let good = fs::read_to_string(&page).expect("the page");
+    let refused = |text: &str, words: &[&str]| {
+        fs::write(&page, text).expect("written");
+        resume(&bench, &session, &[]).fails_with(&[&["session.json"], words].concat());
+    };
+    refused("{", &["expected the page about a session"]);
+    refused("{\"program\": \"another\"}", &["missing field"]);
+    let version = format!("\"program\": \"{}\"", env!("CARGO_PKG_VERSION"));
+    assert!(good.contains(&version), "{good}");
+    refused(
+        &good.replace(&version, "\"program\": \"0.0.7\""),
+        &["0.0.7"],
+    );
+    refused(
+        &good.replace("\"state-a.bin\"", "\"../../etc/passwd\""),
+        &["state-a.bin"],
+    );
+    let none = bench.path("none");
+    resume(&bench, &none, &[]).fails_with(&["none", "--save-session"]);
+    bench
+        .run_on(walking(), &["--localise", arg(&none)])
+        .fails_with(&["none", "--save-session"]);
+}
+
+#[test]
+fn a_folder_that_holds_something_else_is_not_touched() {
+    let bench = Bench::empty();
+    let folder = bench.path("letters");
+    fs::create_dir(&folder).expect("made");
+    fs::write(folder.join("letter.txt"), "Dear").expect("written");
+    let answer = bench.run_on(short(), &["--save-session", arg(&folder)]);
+    answer.fails_with(&["letters", "holds files but no session"]);
+    assert!(
+        !bench.out().join("trajectory.txt").exists(),
+        "found out before the run"
+    );
+    assert_eq!(
+        fs::read_dir(&folder).expect("a folder").count(),
+        1,
+        "as it was"
+    );
+}
+
+#[test]
+fn an_older_session_outlives_a_save_that_fails() {
+    let bench = Bench::empty();
+    let session = own(&bench);
+    let before = fs::read(state(&session)).expect("read");
+    // A folder in the place of the file that is to be written.
+    fs::create_dir_all(session.join("state-b.bin/full")).expect("made");
+    let answer = resume(&bench, &session, &["--save-session", arg(&session)]);
+    answer.fails_with(&[
+        "state-b.bin",
+        "the session is not saved",
+        "results are written",
+    ]);
+    assert!(
+        bench.out().join("trajectory.txt").exists(),
+        "the results are"
+    );
+    assert_eq!(
+        fs::read(state(&session)).expect("read"),
+        before,
+        "the older state"
+    );
+    resume(&bench, &session, &[]).succeeds();
+}
+
+#[test]
+fn a_finished_map_is_tracked_in() {
+    let bench = Bench::empty();
+    let (mapped, session) = (bench.path("mapped"), bench.path("session"));
+    run_into(long(), &mapped, &["--save-session", arg(&session)]).succeeds();
+    let before = fs::read(state(&session)).expect("read");
+    let options = ["--localise", arg(&session), "--first-frame", "3"];
+    bench.run_on(long(), &options).succeeds();
+    assert_eq!(
+        fs::read(state(&session)).expect("read"),
+        before,
+        "the session stays"
+    );
+    for name in ["map.ply", "keyframes.txt"] {
+        let read = |folder: &Path| fs::read(folder.join(name)).expect("a result");
+        assert!(read(&mapped) == read(&bench.out()), "{name} is the map's");
+    }
+    let rows = fs::read_to_string(bench.out().join("frames.csv")).expect("frames");
+    let states: Vec<_> = rows
+        .lines()
+        .skip(1)
+        .filter_map(|row| row.split(',').nth(2))
+        .collect();
+    assert_eq!(states.len(), 37, "a line per frame");
+    let tracked = states.iter().filter(|state| **state == "tracking").count();
+    let figures = metrics(&bench.out());
+    assert_eq!(figures["tracked"], tracked, "{figures}");
+    assert!(tracked >= 30, "{tracked} of 37 in its own map");
+    let error_m = figures["ate"]["rmse_m"].as_f64().expect("judged");
+    assert!(error_m < 0.02, "ATE {error_m} m");
+}
+
+#[test]
+fn another_room_is_not_found_in_the_map() {
+    let bench = Bench::empty();
+    let other = recording("quiet_desk", 12);
+    let answer = bench.run_on(&other, &["--localise", arg(put_aside())]);
+    let answer = answer.fails_with(&["no frame could be tracked"]);
+    assert!(
+        answer.out.contains("tracked    0 of 12 frames"),
+        "{answer:?}"
+    );
+    let rows = fs::read_to_string(bench.out().join("frames.csv")).expect("frames");
+    assert_eq!(rows.matches(",lost,").count(), 12, "{rows}");
+    for options in [["--config", "x.toml"], ["--resume", "x"], ["--refine", "5"]] {
+        let answer = bench.run_on(walking(), &[&["--localise", "x"], &options[..]].concat());
+        answer.fails_with(&["cannot be used with"]);
+    }
+    let lens = other_lens(&bench);
+    let options = ["--calibration", arg(&lens), "--localise", arg(put_aside())];
+    bench.run_on(walking(), &options).fails_with(&["camera.cx"]);
+}
