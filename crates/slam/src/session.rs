@@ -78,14 +78,6 @@ pub enum SessionError {
         /// What is wrong.
         source: postcard::Error,
     },
-    /// A value that contradicts the rest of the state.
-    #[error("section `{section}`: {why}")]
-    Inconsistent {
-        /// Which.
-        section: &'static str,
-        /// How.
-        why: String,
-    },
     /// The run to go on with is made with something else.
     #[error("{what}: the session has {saved}, this run {given}; expected the same")]
     Differs {
