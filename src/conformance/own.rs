@@ -3,7 +3,12 @@
 mod features;
 mod fields;
 mod geometry;
+mod judging;
+mod labels;
+mod pictures;
+mod poses;
 mod raster;
+mod recordings;
 mod training;
 
 use std::collections::BTreeMap;
@@ -14,14 +19,32 @@ use garad_golden::{Case, Dtype, Tensor};
 
 use fields::Fields;
 
-/// Stages that [`answers`] computes.
-pub const STAGES: [&str; 13] = [
+/// Stages that [`answers`] computes: all that have cases of their own.
+pub const STAGES: [&str; 33] = [
+    "decode",
+    "associate",
+    "bonn",
+    "ply",
     "se3",
     "camera",
+    "pyramid",
     "fast",
     "orb",
     "matching",
     "lk",
+    "epipolar",
+    "flow",
+    "robust",
+    "reprojection",
+    "place",
+    "pnp",
+    "pose_lm",
+    "bundle",
+    "pose_graph",
+    "unary",
+    "kernel",
+    "mean_field",
+    "label_window",
     "sh",
     "projection_covariance",
     "raster",
@@ -29,6 +52,8 @@ pub const STAGES: [&str; 13] = [
     "losses",
     "adam",
     "train_step",
+    "trajectory",
+    "image_metrics",
 ];
 
 /// A case that the stage could not be given.
@@ -105,6 +130,26 @@ pub fn answers(case: &Case, width: Width) -> Result<Option<Answers>, OwnError> {
     let fields = Fields(case);
     let narrow = width == Width::F32;
     let outputs = match case.stage() {
+        "decode" => recordings::decode(fields)?,
+        "associate" => recordings::pairs(fields)?,
+        "bonn" => recordings::bonn(fields)?,
+        "ply" => recordings::ply(fields)?,
+        "pyramid" => pictures::pyramid(fields)?,
+        "epipolar" => pictures::epipolar(fields)?,
+        "flow" => pictures::flow(fields)?,
+        "place" => pictures::place(fields)?,
+        "robust" => poses::robust(fields)?,
+        "reprojection" => poses::reprojection(fields)?,
+        "pose_lm" => poses::pose(fields)?,
+        "pnp" => poses::pnp(fields)?,
+        "bundle" => poses::bundle(fields)?,
+        "pose_graph" => poses::pose_graph(fields)?,
+        "unary" => labels::unary(fields)?,
+        "kernel" => labels::kernels(fields)?,
+        "mean_field" => labels::mean_field(fields)?,
+        "label_window" => labels::window(fields)?,
+        "trajectory" => judging::trajectory(fields)?,
+        "image_metrics" => judging::image_metrics(fields)?,
         "se3" => geometry::se3(fields)?,
         "camera" => geometry::camera(fields)?,
         "fast" => features::fast(fields)?,

@@ -3,6 +3,8 @@
 use std::collections::BTreeSet;
 use std::fs;
 
+use garad::conformance::own::{self, Width};
+use garad_golden::judge::{Outcome, judge};
 use garad_golden::{Case, stages};
 
 /// The paper's equations by the labels of its LaTeX; there is no 8 and no 14.
@@ -29,6 +31,8 @@ fn every_stage_has_a_case_and_every_case_a_stage() {
         let name = stage.name;
         let there = cases.iter().any(|c| c.stage() == name) || name == TRACE;
         assert!(there && folders.contains(name), "{name}: no case");
+        let own = own::STAGES.contains(&name) || name == TRACE;
+        assert!(own, "{name}: `garad golden check --self` does not run it");
     }
     for folder in folders {
         assert!(stages::find(&folder).is_some(), "{folder}: not in STAGES");
@@ -61,4 +65,25 @@ fn expected_values_come_from_outside() {
         share >= 0.9,
         "only {share:.3} of the cases rest on something outside"
     );
+}
+
+#[test]
+fn own_stages_pass_all_cases() {
+    let mut bad = Vec::new();
+    for case in cases() {
+        for width in [Width::F64, Width::F32] {
+            let answers = own::answers(&case, width).expect("a sound case");
+            let answers = answers.unwrap_or_else(|| panic!("{}: not run", case.name()));
+            let verdict = judge(&case, &answers, false);
+            if verdict.outcome != Outcome::Pass {
+                let worst = verdict.worst().map(|o| (o.name.clone(), o.note.clone()));
+                bad.push(format!(
+                    "{} {width:?}: {} {worst:?}",
+                    case.name(),
+                    verdict.outcome.name()
+                ));
+            }
+        }
+    }
+    assert!(bad.is_empty(), "{}", bad.join("\n"));
 }

@@ -36,6 +36,15 @@ impl<'a> Fields<'a> {
         self.param(name, serde_json::Value::as_str)
     }
 
+    pub(super) fn switch(&self, name: &str) -> Result<bool, OwnError> {
+        self.param(name, serde_json::Value::as_bool)
+    }
+
+    /// Whether the case has such an output.
+    pub(super) fn asks(&self, name: &str) -> bool {
+        self.0.output_names().any(|output| output == name)
+    }
+
     pub(super) fn tensor(&self, name: &str) -> Result<&'a Tensor, OwnError> {
         let tensor = self.0.try_input(name);
         tensor.ok_or_else(|| self.wrong(format!("no input '{name}'")))

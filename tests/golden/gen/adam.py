@@ -13,7 +13,7 @@ from case import write_case
 B1, B2, EPS = np.longdouble(0.9), np.longdouble(0.999), np.longdouble(1e-15)
 
 
-def steps(gradients, rates):
+def steps(gradients, rates, eps=EPS):
     """The steps of one number at t = 1, 2, ...; rates are learning rates."""
     g = np.asarray(gradients, np.longdouble)
     out = []
@@ -21,19 +21,19 @@ def steps(gradients, rates):
         age = np.arange(t - 1, -1, -1, dtype=np.longdouble)
         m = (1 - B1) * (B1**age * g[:t]).sum() / (1 - B1 ** np.longdouble(t))
         v = (1 - B2) * (B2**age * g[:t] ** 2).sum() / (1 - B2 ** np.longdouble(t))
-        out.append(np.longdouble(rates[t - 1]) * m / (np.sqrt(v) + EPS))
+        out.append(np.longdouble(rates[t - 1]) * m / (np.sqrt(v) + eps))
     return np.array(out)
 
 
-def case(name, why, start, gradients, rates, **params):
+def case(name, why, start, gradients, rates, eps=EPS, **params):
     """gradients [steps, n]. The case holds the parameters after every step."""
-    path = np.stack([np.longdouble(s) - np.cumsum(steps(g, rates)) for s, g in zip(start, gradients.T)], 1)
-    return dict(name=name, why=why, path=path.astype(np.float64), start=start, gradients=gradients, rates=rates, params=params)
+    path = np.stack([np.longdouble(s) - np.cumsum(steps(g, rates, eps)) for s, g in zip(start, gradients.T)], 1)
+    return dict(name=name, why=why, path=path.astype(np.float64), start=start, gradients=gradients, rates=rates, params={"eps": float(eps), **params})
 
 
 def save(c, **extra):
     write_case("adam", c["name"], basis="closed-form", why=c["why"], script="gen/adam.py", seed=29,
-               params={"beta1": float(B1), "beta2": float(B2), "eps": float(EPS), "width": 1, **c["params"]},
+               params={"beta1": float(B1), "beta2": float(B2), "eps": c["params"].pop("eps"), "width": 1, **c["params"]},
                inputs={"start": (c["start"], "1"), "gradients": (c["gradients"], "1"), "learning_rates": (c["rates"], "1"), **extra},
                outputs={"path": (c["path"], "1", "adam.path")})
 
@@ -49,6 +49,12 @@ def main():
     rates = 0.01 * np.exp(-np.arange(n) / 30)
     save(case("sequence", "sizes from 1e-6 to 1e6, constant, vanishing and late gradients, falling learning rate",
                rng.normal(size=6), gradients, rates))
+
+    # With 1e-15 nobody sees where eps stands; beside gradients of its own size everybody does.
+    other = np.random.default_rng(31)
+    gradients = other.normal(size=(12, 4)) * np.array([1e-3, 1e-2, 1e-4, 1e-6])
+    save(case("large_eps", "eps as large as the gradients: inside the root, or scaled by the correction, it gives other steps",
+              np.round(other.normal(size=4), 3), gradients, np.full(12, 0.05), eps=np.longdouble(1e-3)))
 
     # Rows 1 and 3 leave after ten steps, two come: a new row is one whose gradients were 0 so far.
     gradients = rng.normal(size=(25, 7))

@@ -206,7 +206,8 @@ def main():
           random_scene(17, 80, (61, 45), (66.0, 68.0, 27.4, 25.1), 3, 6.0, 0.03, q, t), seed=17)
     needles = random_scene(23, 12, (64, 48), (70.0, 70.0, 31.5, 23.5), 1, 1.0, 0.5, (1, 0.1, -0.2, 0.3), (0.1, 0.0, 0.2))
     needles["log_scales"][:, 1:] = f32(np.log(5e-4))
-    write("needles", "half-axes of 0.5 m and 0.5 mm: where a plain determinant loses its digits in float32", needles, seed=23)
+    write("needles", "half-axes of 0.5 m and 0.5 mm: where a plain determinant loses its digits in float32", needles,
+          flags=["needles"], seed=23)
 
 
 if __name__ == "__main__":

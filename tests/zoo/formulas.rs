@@ -1,0 +1,552 @@
+//! The smaller stages, written a second time from their definitions, in f64, with their mistakes and liberties.
+
+use garad::conformance::own::{self, Width};
+use garad_core::Real;
+use garad_golden::Case;
+
+use super::answers::{Out, put_f64};
+
+/// Mistakes, one at a time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Slip {
+    AdamConstantCorrection,
+    AdamEpsilonInRoot,
+    AdamEpsilonScaled,
+    AdamNoCorrection,
+    CameraKalibr,
+    CameraRadialFirst,
+    CameraRadiusUpdated,
+    CameraTangentialFlipped,
+    CameraTangentialSwapped,
+    EpipolarCalibrationTransposed,
+    EpipolarOrder,
+    HuberHalfWeight,
+    HuberWithoutConstant,
+    KernelWithoutHalf,
+    FieldNormalisedOtherwise,
+    FieldPushes,
+    FieldOneIterationLess,
+    Se3LinearPartUnchanged,
+    Se3RotationForJacobian,
+    SsimConstantsOfBytes,
+    SsimFlatWindow,
+    SsimReflects,
+    SsimThirteenTaps,
+}
+
+/// In which order sums are added.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Sum {
+    Forwards,
+    Backwards,
+    /// Halves, and halves of these.
+    Tree,
+}
+
+impl Sum {
+    fn of(self, terms: &[f64]) -> f64 {
+        match self {
+            Self::Forwards => terms.iter().fold(0.0, |s, t| s + t),
+            Self::Backwards => terms.iter().rev().fold(0.0, |s, t| s + t),
+            Self::Tree if terms.len() < 3 => Self::Forwards.of(terms),
+            Self::Tree => {
+                let (a, b) = terms.split_at(terms.len() / 2);
+                self.of(a) + self.of(b)
+            }
+        }
+    }
+}
+
+/// One backend.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct How {
+    pub(crate) slip: Option<Slip>,
+    pub(crate) sum: Sum,
+}
+
+impl How {
+    fn is(&self, slip: Slip) -> bool {
+        self.slip == Some(slip)
+    }
+}
+
+pub(crate) const STAGES: [&str; 8] = [
+    "se3",
+    "camera",
+    "epipolar",
+    "robust",
+    "kernel",
+    "mean_field",
+    "losses",
+    "adam",
+];
+
+/// What the stage is not written a second time for is garad's own.
+pub(crate) fn answer(case: &Case, how: &How) -> Out {
+    let mut out = own::answers(case, Width::F64)
+        .expect("a sound case")
+        .unwrap_or_default();
+    match case.stage() {
+        "se3" => se3(case, how, &mut out),
+        "camera" => camera(case, how, &mut out),
+        "epipolar" => epipolar(case, how, &mut out),
+        "robust" => robust(case, how, &mut out),
+        "kernel" => kernel(case, how, &mut out),
+        "mean_field" => mean_field(case, how, &mut out),
+        "losses" => losses(case, how, &mut out),
+        _ => adam(case, how, &mut out),
+    }
+    out
+}
+
+type M3 = [[f64; 3]; 3];
+
+fn times(a: &M3, b: &M3) -> M3 {
+    [0, 1, 2].map(|i| [0, 1, 2].map(|j| a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j]))
+}
+
+fn transposed(m: &M3) -> M3 {
+    [0, 1, 2].map(|i| [m[0][i], m[1][i], m[2][i]])
+}
+
+fn apply(m: &M3, v: &[f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|i| m[i][0] * v[0] + m[i][1] * v[1] + m[i][2] * v[2])
+}
+
+fn matrix(values: &[f64]) -> M3 {
+    [0, 1, 2].map(|i| [values[3 * i], values[3 * i + 1], values[3 * i + 2]])
+}
+
+fn hat(v: &[f64]) -> M3 {
+    [[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]]
+}
+
+fn triples(case: &Case, name: &str) -> Vec<[f64; 3]> {
+    case.input(name).f64().as_chunks::<3>().0.to_vec()
+}
+
+fn pairs(case: &Case, name: &str) -> Vec<[f64; 2]> {
+    case.input(name).f64().as_chunks::<2>().0.to_vec()
+}
+
+/// Both slips replace one output by a product with what the case itself expects of another.
+fn se3(case: &Case, how: &How, out: &mut Out) {
+    let rhos = triples(case, "rho");
+    if how.is(Slip::Se3LinearPartUnchanged) {
+        put_f64(out, case, "log_translation", rhos.as_flattened());
+    }
+    if how.is(Slip::Se3RotationForJacobian) {
+        // Below so small an angle the rotation stands in for the Jacobian.
+        let by = |name: &str| {
+            case.output(name)
+                .f64()
+                .chunks(9)
+                .map(matrix)
+                .collect::<Vec<_>>()
+        };
+        let (r, j, phi) = (by("rotation"), by("jacobian"), triples(case, "phi"));
+        let moved = (0..rhos.len()).flat_map(|i| {
+            let small = phi[i].iter().map(|v| v * v).sum::<f64>() < 1e-10;
+            apply(if small { &r[i] } else { &j[i] }, &rhos[i])
+        });
+        put_f64(out, case, "translation", &moved.collect::<Vec<_>>());
+    }
+}
+
+fn camera(case: &Case, how: &How, out: &mut Out) {
+    let n = |name| case.param_f64(name);
+    let [mut k1, mut k2, mut p1, mut p2, mut k3] = ["k1", "k2", "p1", "p2", "k3"].map(n);
+    match how.slip {
+        Some(Slip::CameraTangentialSwapped) => (p1, p2) = (p2, p1),
+        Some(Slip::CameraTangentialFlipped) => p1 = -p1,
+        Some(Slip::CameraRadialFirst) => (k3, p1, p2) = (p1, p2, k3),
+        _ => {}
+    }
+    if how.sum == Sum::Backwards {
+        // Coefficients of the powers first: nothing changes but the rounding.
+        (k1, k2, k3) = (k1 + 0.0, k2 + 0.0, k3 + 0.0);
+    }
+    let bent = pairs(case, "pixels").into_iter().flat_map(|[u, v]| {
+        let (x, y) = ((u - n("cx")) / n("fx"), (v - n("cy")) / n("fy"));
+        let mut r2 = x * x + y * y;
+        let radial = match how.sum {
+            Sum::Forwards => 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)),
+            _ => how.sum.of(&[1.0, k1 * r2, k2 * r2 * r2, k3 * r2 * r2 * r2]),
+        };
+        let (mut tx, mut ty) = (x, y);
+        if how.is(Slip::CameraRadiusUpdated) {
+            (tx, ty) = (x * radial, y * radial);
+            r2 = tx * tx + ty * ty;
+        }
+        let dx = 2.0 * p1 * tx * ty + p2 * (r2 + 2.0 * tx * tx);
+        let dy = match how.is(Slip::CameraKalibr) {
+            true => 2.0 * p1 * tx * ty + p2 * (r2 + 2.0 * ty * ty),
+            false => 2.0 * p2 * tx * ty + p1 * (r2 + 2.0 * ty * ty),
+        };
+        let (x, y) = (x * radial + dx, y * radial + dy);
+        [n("fx") * x + n("cx"), n("fy") * y + n("cy")]
+    });
+    put_f64(out, case, "distorted", &bent.collect::<Vec<_>>());
+}
+
+fn epipolar(case: &Case, how: &How, out: &mut Out) {
+    let k = case.input("intrinsics").f64();
+    let inverse = [
+        [1.0 / k[0], 0.0, -k[2] / k[0]],
+        [0.0, 1.0 / k[1], -k[3] / k[1]],
+        [0.0, 0.0, 1.0],
+    ];
+    let calibration = [[k[0], 0.0, k[2]], [0.0, k[1], k[3]], [0.0, 0.0, 1.0]];
+    let r = matrix(&case.input("rotation").f64());
+    let t = hat(&case.input("translation").f64());
+    let essential = match how.is(Slip::EpipolarOrder) {
+        true => times(&r, &t),
+        false => times(&t, &r),
+    };
+    let right = match how.is(Slip::EpipolarCalibrationTransposed) {
+        true => transposed(&calibration),
+        false => inverse,
+    };
+    let f = times(&times(&transposed(&inverse), &essential), &right);
+    let flat = f.as_flattened();
+    let norm = how
+        .sum
+        .of(&flat.iter().map(|v| v * v).collect::<Vec<_>>())
+        .sqrt();
+    let largest = flat
+        .iter()
+        .fold(0.0f64, |a, b| if b.abs() > a.abs() { *b } else { a });
+    let scale = largest.signum() / norm;
+    put_f64(
+        out,
+        case,
+        "fundamental",
+        &flat.iter().map(|v| v * scale).collect::<Vec<_>>(),
+    );
+    let [mut in_1, mut in_2, mut sampson] = [const { Vec::new() }; 3];
+    let other = transposed(&f);
+    for (a, b) in pairs(case, "uv1").iter().zip(pairs(case, "uv2")) {
+        let (p, q) = ([a[0], a[1], 1.0], [b[0], b[1], 1.0]);
+        let (l2, l1) = (apply(&f, &p), apply(&other, &q));
+        let e = how.sum.of(&[q[0] * l2[0], q[1] * l2[1], l2[2]]);
+        let (n1, n2) = (l1[0] * l1[0] + l1[1] * l1[1], l2[0] * l2[0] + l2[1] * l2[1]);
+        in_1.push(e.abs() / n1.sqrt());
+        in_2.push(e.abs() / n2.sqrt());
+        sampson.push(e * e / (n1 + n2));
+    }
+    put_f64(out, case, "distance_in_1", &in_1);
+    put_f64(out, case, "distance_in_2", &in_2);
+    put_f64(out, case, "sampson", &sampson);
+}
+
+/// Huber's kernel alone; the others are not touched.
+fn robust(case: &Case, how: &How, out: &mut Out) {
+    if case.param_str("kernel") != "huber" {
+        return;
+    }
+    let delta = case.param_f64("scale");
+    let s = case.input("s").f64();
+    let inside = |s: f64| s <= delta * delta;
+    let constant = if how.is(Slip::HuberWithoutConstant) {
+        0.0
+    } else {
+        delta * delta
+    };
+    let rho = s.iter().map(|&s| match how.sum {
+        _ if inside(s) => s,
+        Sum::Forwards => 2.0 * delta * s.sqrt() - constant,
+        _ => delta * (2.0 * s.sqrt() - constant / delta),
+    });
+    let half = if how.is(Slip::HuberHalfWeight) {
+        0.5
+    } else {
+        1.0
+    };
+    let weight = s.iter().map(|&s| {
+        if inside(s) {
+            1.0
+        } else {
+            half * delta / s.sqrt()
+        }
+    });
+    put_f64(out, case, "rho", &rho.collect::<Vec<_>>());
+    put_f64(out, case, "weight", &weight.collect::<Vec<_>>());
+}
+
+/// Both kernels of all pairs, row by row.
+fn kernels(case: &Case, how: &How) -> [Vec<f64>; 2] {
+    let (reproj, seen) = (
+        case.input("reproj_px").f64(),
+        case.input("observations").f64(),
+    );
+    let (p, uv) = (triples(case, "p_world"), pairs(case, "uv_px"));
+    let sigma = |name: &str| {
+        let s = case.param_f64(name);
+        if how.is(Slip::KernelWithoutHalf) {
+            s * s
+        } else {
+            2.0 * s * s
+        }
+    };
+    let terms = case.param_str("terms");
+    let linear = case.param_str("distance") == "linear";
+    let kernel = |x: f64| if x.is_nan() { 0.0 } else { Real::exp(-x) };
+    let (mut k1, mut k2) = (Vec::new(), Vec::new());
+    for i in 0..p.len() {
+        for j in 0..p.len() {
+            let square = |a: f64| a * a;
+            let first = square(reproj[i] - reproj[j]) / sigma("sigma_reproj_px")
+                + square(seen[i] - seen[j]) / sigma("sigma_observations");
+            k1.push(kernel(first));
+            let differences = [0, 1, 2].map(|k| square(p[i][k] - p[j][k]));
+            let mut space = how.sum.of(&differences);
+            let mut pixel = square(uv[i][0] - uv[j][0]) + square(uv[i][1] - uv[j][1]);
+            match terms {
+                "both" if pixel.is_nan() => pixel = 0.0,
+                "space" => pixel = 0.0,
+                "pixel" => space = 0.0,
+                _ => {}
+            }
+            if linear {
+                (space, pixel) = (space.sqrt(), pixel.sqrt());
+            }
+            k2.push(kernel(space / sigma("sigma_m") + pixel / sigma("sigma_px")));
+        }
+    }
+    [k1, k2]
+}
+
+fn kernel(case: &Case, how: &How, out: &mut Out) {
+    let [k1, k2] = kernels(case, how);
+    put_f64(out, case, "k1", &k1);
+    put_f64(out, case, "k2", &k2);
+}
+
+fn mean_field(case: &Case, how: &How, out: &mut Out) {
+    let u = case.input("log_odds").f64();
+    let n = u.len();
+    let mut coupling = vec![0.0; n * n];
+    let weights = ["feature_weight", "position_weight"].map(|w| case.param_f64(w));
+    for (mut k, weight) in kernels(case, how).into_iter().zip(weights) {
+        if !case.param_bool("self_message") {
+            (0..n).for_each(|i| k[i * n + i] = 0.0);
+        }
+        let sums: Vec<f64> = k.chunks(n).map(|row| how.sum.of(row)).collect();
+        let inverse: Vec<f64> = sums
+            .iter()
+            .map(|s| if *s > 0.0 { 1.0 / s } else { 0.0 })
+            .collect();
+        let kind = match (
+            case.param_str("normalisation"),
+            how.is(Slip::FieldNormalisedOtherwise),
+        ) {
+            ("rows", true) => "symmetric",
+            ("symmetric", true) => "rows",
+            (kind, _) => kind,
+        };
+        for i in 0..n {
+            for j in 0..n {
+                let norm = match kind {
+                    "rows" => inverse[i],
+                    "symmetric" => (inverse[i] * inverse[j]).sqrt(),
+                    _ => 1.0,
+                };
+                coupling[i * n + j] += weight * k[i * n + j] * norm;
+            }
+        }
+    }
+    let sign = if how.is(Slip::FieldPushes) { -1.0 } else { 1.0 };
+    let sigmoid = |x: f64| {
+        let e = Real::exp(-x.abs());
+        (if x >= 0.0 { 1.0 } else { e }) / (1.0 + e)
+    };
+    let counts: Vec<usize> = case
+        .param_str("iterations")
+        .split(' ')
+        .map(|c| c.parse().expect("a count"))
+        .collect();
+    let damping = case.param_f64("damping");
+    let mut q: Vec<f64> = u.iter().map(|v| sigmoid(*v)).collect();
+    let (mut answers, mut done) = (Vec::new(), 0);
+    for count in counts {
+        let until = match how.is(Slip::FieldOneIterationLess) {
+            true => count.saturating_sub(1),
+            false => count,
+        };
+        while done < until {
+            q = (0..n)
+                .map(|i| {
+                    let heard: Vec<f64> = (0..n)
+                        .map(|j| coupling[i * n + j] * (2.0 * q[j] - 1.0))
+                        .collect();
+                    let new = sigmoid(u[i] + sign * how.sum.of(&heard));
+                    (1.0 - damping) * new + damping * q[i]
+                })
+                .collect();
+            done += 1;
+        }
+        answers.extend_from_slice(&q);
+    }
+    put_f64(out, case, "q", &answers);
+    let labels: Vec<f64> = q.iter().map(|q| f64::from(u8::from(*q > 0.5))).collect();
+    put_f64(out, case, "labels", &labels);
+}
+
+/// The window of SSIM: its weights from the middle out.
+fn window(how: &How) -> Vec<f64> {
+    let taps: i32 = if how.is(Slip::SsimThirteenTaps) { 6 } else { 5 };
+    let weight = |d: i32| match how.is(Slip::SsimFlatWindow) {
+        true => 1.0,
+        false => Real::exp(-f64::from(d * d) / (2.0 * 1.5 * 1.5)),
+    };
+    let all: Vec<f64> = (-taps..=taps).map(weight).collect();
+    let sum = how.sum.of(&all);
+    all.iter().map(|w| w / sum).collect()
+}
+
+/// Smoothed along both axes, zeros outside.
+fn smooth(a: &[f64], (width, height): (usize, usize), how: &How) -> Vec<f64> {
+    let w = window(how);
+    let half = (w.len() / 2).cast_signed();
+    let along = |a: &[f64], axis: usize| -> Vec<f64> {
+        let n = [width, height][axis].cast_signed();
+        let at = |i: isize| match how.is(Slip::SsimReflects) {
+            true if n > 1 => {
+                let period = 2 * (n - 1);
+                let i = i.rem_euclid(period);
+                Some(if i < n { i } else { period - i })
+            }
+            _ => (0..n).contains(&i).then_some(i),
+        };
+        (0..width * height)
+            .map(|k| {
+                let place = [k % width, k / width][axis].cast_signed();
+                let step = [1, width][axis];
+                let base = k - place.cast_unsigned() * step;
+                let terms: Vec<f64> = (-half..=half)
+                    .map(|d| {
+                        let value =
+                            at(place + d).map_or(0.0, |i| a[base + i.cast_unsigned() * step]);
+                        w[(d + half).cast_unsigned()] * value
+                    })
+                    .collect();
+                how.sum.of(&terms)
+            })
+            .collect()
+    };
+    match how.sum {
+        Sum::Forwards => along(&along(a, 0), 1),
+        _ => along(&along(a, 1), 0),
+    }
+}
+
+fn losses(case: &Case, how: &How, out: &mut Out) {
+    let kind = case.param_str("loss");
+    if !["ssim", "photometric"].contains(&kind) {
+        return;
+    }
+    let shape = case.input("rendered").shape();
+    let size = (shape[1], shape[0]);
+    let (x, y) = (case.input("rendered").f64(), case.input("target").f64());
+    let keep: Vec<bool> = match case.try_input("excluded") {
+        Some(mask) => mask.f64().iter().map(|v| *v <= 0.0).collect(),
+        None => vec![true; size.0 * size.1],
+    };
+    let scale = if how.is(Slip::SsimConstantsOfBytes) {
+        255.0 * 255.0
+    } else {
+        1.0
+    };
+    let (c1, c2) = (1e-4 * scale, 9e-4 * scale);
+    let (mut similar, mut apart) = (Vec::new(), Vec::new());
+    for c in 0..3 {
+        let b: Vec<f64> = y.iter().skip(c).step_by(3).copied().collect();
+        let a = x.iter().skip(c).step_by(3).zip(&b).zip(&keep);
+        let a: Vec<f64> = a
+            .map(|((a, b), keep)| if *keep { *a } else { *b })
+            .collect();
+        let product =
+            |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect::<Vec<_>>();
+        let of = |v: &[f64]| smooth(v, size, how);
+        let (ma, mb) = (of(&a), of(&b));
+        let (aa, bb, ab) = (
+            of(&product(&a, &a)),
+            of(&product(&b, &b)),
+            of(&product(&a, &b)),
+        );
+        for k in (0..a.len()).filter(|&k| keep[k]) {
+            let (va, vb) = (aa[k] - ma[k] * ma[k], bb[k] - mb[k] * mb[k]);
+            let both = ab[k] - ma[k] * mb[k];
+            let above = (2.0 * ma[k] * mb[k] + c1) * (2.0 * both + c2);
+            similar.push(above / ((ma[k] * ma[k] + mb[k] * mb[k] + c1) * (va + vb + c2)));
+            apart.push((a[k] - b[k]).abs());
+        }
+    }
+    let mean = |v: &[f64]| how.sum.of(v) / v.len() as f64;
+    let value = match kind {
+        "ssim" => mean(&similar),
+        _ => {
+            let lambda = case.param_f64("lambda");
+            (1.0 - lambda) * mean(&apart) + lambda * (1.0 - mean(&similar))
+        }
+    };
+    put_f64(out, case, "value", &[value]);
+}
+
+/// Every number by itself; a row that is not there has no moments.
+fn adam(case: &Case, how: &How, out: &mut Out) {
+    let [b1, b2, eps] = ["beta1", "beta2", "eps"].map(|n| case.param_f64(n));
+    let (start, rates) = (
+        case.input("start").f64(),
+        case.input("learning_rates").f64(),
+    );
+    let gradients = case.input("gradients").f64();
+    let n = start.len();
+    let kept = case.try_input("kept").map(|k| k.f64());
+    let change = kept
+        .as_ref()
+        .map_or(usize::MAX, |_| case.param_usize("change_after"));
+    let (mut x, mut m, mut v) = (start, vec![0.0; n], vec![0.0; n]);
+    let mut path = Vec::new();
+    let (mut power1, mut power2) = (1.0, 1.0);
+    for (t, rate) in rates.iter().enumerate() {
+        (power1, power2) = (power1 * b1, power2 * b2);
+        let (mut c1, mut c2) = (1.0 - power1, 1.0 - power2);
+        match how.slip {
+            Some(Slip::AdamConstantCorrection) => (c1, c2) = (1.0 - b1, 1.0 - b2),
+            Some(Slip::AdamNoCorrection) => (c1, c2) = (1.0, 1.0),
+            _ => {}
+        }
+        for i in 0..n {
+            let there = match &kept {
+                Some(kept) if i < kept.len() => t < change || kept[i] > 0.0,
+                Some(_) => t >= change,
+                None => true,
+            };
+            if !there {
+                path.push(f64::NAN);
+                continue;
+            }
+            let g = gradients[t * n + i];
+            match how.sum {
+                Sum::Forwards => {
+                    m[i] = b1 * m[i] + (1.0 - b1) * g;
+                    v[i] = b2 * v[i] + (1.0 - b2) * g * g;
+                }
+                _ => {
+                    m[i] += (1.0 - b1) * (g - m[i]);
+                    v[i] += (1.0 - b2) * (g * g - v[i]);
+                }
+            }
+            let below = match how.slip {
+                Some(Slip::AdamEpsilonInRoot) => (v[i] / c2 + eps).sqrt(),
+                Some(Slip::AdamEpsilonScaled) => (v[i].sqrt() + eps) / c2.sqrt(),
+                _ if how.sum == Sum::Tree => v[i].sqrt() / c2.sqrt() + eps,
+                _ => (v[i] / c2).sqrt() + eps,
+            };
+            x[i] -= rate * (m[i] / c1) / below;
+            path.push(x[i]);
+        }
+    }
+    put_f64(out, case, "path", &path);
+}

@@ -1,0 +1,365 @@
+//! A renderer of its own in f32, forwards and backwards, whose mistakes and liberties can be switched on. It shares
+//! no code with garad: every pixel meets every splat.
+
+use garad_golden::{Case, Dtype};
+
+use super::answers::{self, Out};
+use super::blend::{Up, blend, blend_backward, order};
+use super::harmonics::{basis, tangent_gradient};
+use super::number::N;
+use super::splats::{CELL, Gaussians, Splat, View, project, project_backward, rotation};
+
+/// Mistakes, one at a time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Slip {
+    AbsoluteGradient,
+    ActivatedTwice,
+    AlphaLimitIgnored,
+    BackgroundInFull,
+    BackgroundMissing,
+    BackgroundNotInGradient,
+    BackgroundTwiceInGradient,
+    ClampGradientIgnored,
+    ClampOfZ,
+    CoarseExp,
+    ColumnMajor,
+    ConicFactor,
+    DepthNormalised,
+    DepthNotInGradient,
+    DirectionOfOtherCamera,
+    EarlyStop,
+    FootprintOfEight,
+    FootprintOfThirtyTwo,
+    HalfPixel,
+    JacobianAtCamera,
+    LastCountsSkipped,
+    LengthForgotten,
+    MaskBySortedIndex,
+    NoAlphaLimit,
+    NoAlphaThreshold,
+    NoClamp,
+    NoDilation,
+    NoGradientThroughDirection,
+    NoStop,
+    OpacityCompensated,
+    OpacityForLogit,
+    PaddingDrawsZero,
+    PayloadOverwritten,
+    PlainDeterminant,
+    PoseFromTheRight,
+    PoseWithoutJacobian,
+    PremultipliedTwice,
+    PrincipalPoint,
+    QuaternionNotNormalised,
+    QuaternionNotProjected,
+    QuaternionOrder,
+    ScaleForLogScale,
+    ShConstant,
+    ShDegreeThree,
+    ShOrder,
+    ShRestNotZeroed,
+    ShSign,
+    SortByDistance,
+    SortDoublesOne,
+    SortDropsOne,
+    SortInHalf,
+    SortReversed,
+    SubtleConic,
+    TooFewTiles,
+    TransmittanceBehind,
+    TwoSigma,
+    WorldForCamera,
+}
+
+/// In which order pixels are added up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Walk {
+    Rows,
+    Columns,
+    Backwards,
+    /// Squares of so many pixels, each summed by itself.
+    Tiles(i64),
+    /// Two neighbours, then all of these.
+    Pairs,
+}
+
+/// How the exponent is put together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Density {
+    /// a dx² + 2 b dx dy + c dy².
+    Plain,
+    /// dᵀ (conic d).
+    Product,
+    /// As a sum of squares.
+    Slanted,
+}
+
+/// One backend.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct How {
+    pub(crate) slip: Option<Slip>,
+    pub(crate) walk: Walk,
+    pub(crate) density: Density,
+    pub(crate) exp_ulp: u32,
+}
+
+impl How {
+    pub(crate) const PLAIN: Self = Self {
+        slip: None,
+        walk: Walk::Rows,
+        density: Density::Slanted,
+        exp_ulp: 0,
+    };
+
+    pub(crate) fn footprint_cell(&self) -> i64 {
+        match self.slip {
+            Some(Slip::FootprintOfEight) => 8,
+            Some(Slip::FootprintOfThirtyTwo) => 32,
+            _ => CELL,
+        }
+    }
+}
+
+/// Which processor, and how.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Backend {
+    pub(crate) fma: bool,
+    pub(crate) ftz: bool,
+    pub(crate) how: How,
+}
+
+pub(crate) const STAGES: [&str; 4] = ["sh", "projection_covariance", "raster", "raster_backward"];
+
+impl Backend {
+    pub(crate) fn answer(&self, case: &Case) -> Out {
+        match (self.fma, self.ftz) {
+            (false, false) => answer::<false, false>(case, &self.how),
+            (true, false) => answer::<true, false>(case, &self.how),
+            (false, true) => answer::<false, true>(case, &self.how),
+            (true, true) => answer::<true, true>(case, &self.how),
+        }
+    }
+}
+
+fn answer<const M: bool, const Z: bool>(case: &Case, how: &How) -> Out {
+    match case.stage() {
+        "sh" => harmonics::<M, Z>(case, how),
+        "projection_covariance" => projection::<M, Z>(case, how),
+        "raster" => forward::<M, Z>(case, how),
+        _ => backward::<M, Z>(case, how),
+    }
+}
+
+fn column<const M: bool, const Z: bool>(case: &Case, name: &str) -> Vec<N<M, Z>> {
+    let there = case.try_input(name).map(garad_golden::Tensor::f64);
+    there.unwrap_or_default().into_iter().map(N::new).collect()
+}
+
+fn rows<const M: bool, const Z: bool, const K: usize>(
+    case: &Case,
+    name: &str,
+) -> Vec<[N<M, Z>; K]> {
+    let all = column(case, name);
+    all.as_chunks::<K>().0.to_vec()
+}
+
+fn flat<const M: bool, const Z: bool, const K: usize>(rows: &[[N<M, Z>; K]]) -> Vec<f32> {
+    rows.iter().flatten().map(|v| v.0).collect()
+}
+
+fn single<const M: bool, const Z: bool>(values: &[N<M, Z>]) -> Vec<f32> {
+    values.iter().map(|v| v.0).collect()
+}
+
+type Scene<const M: bool, const Z: bool> = (Gaussians<M, Z>, View<M, Z>, Vec<Splat<M, Z>>);
+
+fn scene<const M: bool, const Z: bool>(case: &Case, how: &How) -> Scene<M, Z> {
+    let means = rows::<M, Z, 3>(case, "means");
+    let triples = rows::<M, Z, 3>(case, "sh");
+    let per = triples.len() / means.len().max(1);
+    let gaussians = Gaussians {
+        log_scales: rows(case, "log_scales"),
+        quaternions: rows(case, "quaternions"),
+        opacity_logits: column(case, "opacity_logits"),
+        sh: triples.chunks(per.max(1)).map(<[_]>::to_vec).collect(),
+        means,
+    };
+    let plain = How { slip: None, ..*how };
+    let w = rotation(&rows(case, "camera_from_world_q")[0], &plain);
+    let t = rows::<M, Z, 3>(case, "camera_from_world_t")[0];
+    let (w, t) = match how.slip {
+        Some(Slip::WorldForCamera) => {
+            let back = super::number::transposed(&w);
+            (back, super::number::apply(&back, &t).map(|v| -v))
+        }
+        _ => (w, t),
+    };
+    let size = ["width", "height"].map(|n| i64::try_from(case.param_usize(n)).unwrap_or(0));
+    let view = View {
+        w,
+        t,
+        k: rows(case, "intrinsics")[0],
+        size,
+    };
+    let splats = (0..gaussians.means.len())
+        .map(|i| project(&gaussians, i, &view, how))
+        .collect();
+    (gaussians, view, splats)
+}
+
+fn harmonics<const M: bool, const Z: bool>(case: &Case, how: &How) -> Out {
+    let directions = rows::<M, Z, 3>(case, "direction");
+    let triples = rows::<M, Z, 3>(case, "sh");
+    let n = triples.len() / directions.len();
+    let (mut values, mut slopes, mut colors) = (Vec::new(), Vec::new(), Vec::new());
+    for (d, f) in directions.iter().zip(triples.chunks(n)) {
+        let length = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
+        let unit = d.map(|v| v / length);
+        let b = basis(&unit, n, how);
+        slopes.extend(tangent_gradient(&unit, n, how));
+        for count in [1, 4, 9, 16] {
+            colors.push([0, 1, 2].map(|c| {
+                let terms = b.iter().zip(f).take(count);
+                terms
+                    .fold(N::new(0.5), |sum, (b, f)| b.times_plus(f[c], sum))
+                    .max(N::ZERO)
+            }));
+        }
+        values.extend(b);
+    }
+    let mut out = Out::new();
+    answers::put_f32(&mut out, case, "basis", &single(&values));
+    answers::put_f32(&mut out, case, "tangent_gradient", &flat(&slopes));
+    answers::put_f32(&mut out, case, "color", &flat(&colors));
+    out
+}
+
+fn geometry<const M: bool, const Z: bool>(out: &mut Out, case: &Case, splats: &[&Splat<M, Z>]) {
+    let take = |f: &dyn Fn(&Splat<M, Z>) -> Vec<N<M, Z>>| -> Vec<f32> {
+        splats.iter().flat_map(|s| f(s)).map(|v| v.0).collect()
+    };
+    answers::put_f32(out, case, "mean_px", &take(&|s| s.mean_px.to_vec()));
+    answers::put_f32(out, case, "depth_m", &take(&|s| vec![s.depth_m]));
+    answers::put_f32(out, case, "conic", &take(&|s| s.conic.to_vec()));
+}
+
+fn projection<const M: bool, const Z: bool>(case: &Case, how: &How) -> Out {
+    let (_, _, splats) = scene::<M, Z>(case, how);
+    let mut out = Out::new();
+    let p: Vec<[N<M, Z>; 3]> = splats.iter().map(|s| s.p).collect();
+    let r: Vec<[N<M, Z>; 3]> = splats.iter().flat_map(|s| s.r).collect();
+    answers::put_f32(&mut out, case, "p_cam", &flat(&p));
+    answers::put_f32(&mut out, case, "rotation", &flat(&r));
+    let visible: Vec<&Splat<M, Z>> = splats.iter().filter(|s| s.visible).collect();
+    geometry(&mut out, case, &visible);
+    answers::put_i64(&mut out, case, "radius", visible.iter().map(|s| s.radius));
+    answers::put_i64(
+        &mut out,
+        case,
+        "footprint",
+        visible.iter().flat_map(|s| s.footprint),
+    );
+    out
+}
+
+fn forward<const M: bool, const Z: bool>(case: &Case, how: &How) -> Out {
+    let (_, view, splats) = scene::<M, Z>(case, how);
+    let order = order(&splats, how);
+    let background = rows(case, "background")[0];
+    let pictures = blend(&splats, &order, view.size, &background, how);
+    let mut out = Out::new();
+    answers::put_f32(&mut out, case, "color", &flat(&pictures.color));
+    answers::put_f32(&mut out, case, "depth", &single(&pictures.depth));
+    answers::put_f32(&mut out, case, "transmittance", &single(&pictures.left));
+    answers::put_i64(
+        &mut out,
+        case,
+        "contributors",
+        pictures.count.iter().map(|v| i64::from(*v)),
+    );
+    answers::put_i64(
+        &mut out,
+        case,
+        "last",
+        pictures.last.iter().map(|v| i64::from(*v)),
+    );
+    answers::put_i64(&mut out, case, "radii", splats.iter().map(|s| s.radius));
+    answers::put_i64(
+        &mut out,
+        case,
+        "order",
+        order.iter().map(|i| i64::try_from(*i).unwrap_or(-1)),
+    );
+    let sorted: Vec<&Splat<M, Z>> = order.iter().map(|&i| &splats[i]).collect();
+    geometry(&mut out, case, &sorted);
+    let colors: Vec<[N<M, Z>; 3]> = sorted.iter().map(|s| s.color).collect();
+    answers::put_f32(&mut out, case, "splat_color", &flat(&colors));
+    out
+}
+
+fn backward<const M: bool, const Z: bool>(case: &Case, how: &How) -> Out {
+    let (gaussians, view, splats) = scene::<M, Z>(case, how);
+    let order = order(&splats, how);
+    let background = rows(case, "background")[0];
+    let pass_through = case.param_str("clamp_gradient") == "pass_through";
+    let (color, depth, opacity) = (
+        rows(case, "upstream_color"),
+        column(case, "upstream_depth"),
+        column(case, "upstream_opacity"),
+    );
+    let up = Up {
+        color: &color,
+        depth: &depth,
+        opacity: &opacity,
+    };
+    let by_pixel = blend_backward(
+        &splats,
+        &order,
+        view.size,
+        &background,
+        &up,
+        pass_through,
+        how,
+    );
+    let found: Vec<_> = by_pixel
+        .iter()
+        .zip(&splats)
+        .enumerate()
+        .map(|(i, (d, s))| project_backward(d, s, &gaussians, i, &view, pass_through, how))
+        .collect();
+    let mut pose = [N::<M, Z>::ZERO; 6];
+    let mut parts: Vec<_> = found.iter().collect();
+    if how.walk == Walk::Backwards {
+        parts.reverse();
+    }
+    for part in parts {
+        pose.iter_mut()
+            .zip(part.pose)
+            .for_each(|(sum, v)| *sum += v);
+    }
+    let take = |f: &dyn Fn(usize) -> Vec<N<M, Z>>| -> Vec<f32> {
+        (0..found.len()).flat_map(f).map(|v| v.0).collect()
+    };
+    let mut out = Out::new();
+    for (name, values) in [
+        ("d_means", take(&|i| found[i].mean.to_vec())),
+        ("d_log_scales", take(&|i| found[i].log_scale.to_vec())),
+        ("d_quaternions", take(&|i| found[i].quaternion.to_vec())),
+        ("d_opacity_logits", take(&|i| vec![found[i].opacity_logit])),
+        ("d_sh", take(&|i| found[i].sh.concat())),
+        ("d_pose", single(&pose)),
+        ("d_means2d", take(&|i| by_pixel[i].mean_px.to_vec())),
+        ("d_conics", take(&|i| by_pixel[i].conic.to_vec())),
+        ("d_opacities", take(&|i| vec![by_pixel[i].opacity])),
+        ("d_colors", take(&|i| by_pixel[i].color.to_vec())),
+        ("d_depths", take(&|i| vec![by_pixel[i].depth])),
+    ] {
+        answers::put_f32(&mut out, case, name, &values);
+    }
+    debug_assert!(
+        case.output_names()
+            .all(|n| case.output(n).dtype() != Dtype::Bool),
+        "numbers alone"
+    );
+    out
+}
