@@ -101,6 +101,24 @@ fn a_run_in_two_parts_ends_like_a_run_in_one() {
 }
 
 #[test]
+fn given_masks_must_be_given_again() {
+    let bench = Bench::empty();
+    let (whole, session) = (bench.path("whole"), bench.path("session"));
+    let masks = ["--oracle-labels", "mask"];
+    run_into(walking(), &whole, &masks).succeeds();
+    let part = ["--max-frames", "5", "--save-session", arg(&session)];
+    run_into(
+        walking(),
+        &bench.path("part"),
+        &[masks, [part[0], part[1]], [part[2], part[3]]].concat(),
+    )
+    .succeeds();
+    resume(&bench, &session, &masks).succeeds();
+    assert_same_results(&whole, &bench.out());
+    resume(&bench, &session, &[]).fails_with(&["--oracle-labels", "with", "without"]);
+}
+
+#[test]
 fn a_run_in_many_parts_keeps_one_session() {
     let bench = Bench::empty();
     let (whole, session) = (bench.path("whole"), bench.path("session"));

@@ -314,6 +314,8 @@ fn first_difference(what: &str, saved: &Value, given: &Value) -> Result<(), Sess
 
 #[cfg(test)]
 mod tests {
+    use garad_core::GrayImage;
+
     use super::*;
 
     fn slam() -> Slam {
@@ -373,6 +375,35 @@ mod tests {
             .go_on_with(&slam.camera.clone(), &mute, 3)
             .expect_err("no picture was kept to refine on");
         assert!(error.to_string().contains("train.refine"), "{error}");
+    }
+
+    #[test]
+    fn a_pyramid_is_made_again_from_its_picture() {
+        let image = GrayImage::from_fn(70, 60, |x, y| [3, 250, 0, 99, 128][(x * x + 3 * y) % 5]);
+        for above in [0, 1] {
+            let pyramid = LkPyramid::new(&image, above).expect("a picture");
+            let bytes = postcard::to_stdvec(&pyramid).expect("a form");
+            let again: LkPyramid = postcard::from_bytes(&bytes).expect("a pyramid");
+            assert_eq!(again.levels(), above + 1, "levels");
+            assert_eq!(
+                format!("{again:?}"),
+                format!("{pyramid:?}"),
+                "every pixel, borders too"
+            );
+        }
+    }
+
+    #[test]
+    fn a_picture_without_all_its_pixels_is_refused() {
+        let bytes = |pixels: usize| {
+            postcard::to_stdvec(&(3usize, 2usize, vec![7u8; pixels])).expect("a form")
+        };
+        let image: GrayImage = postcard::from_bytes(&bytes(6)).expect("six pixels");
+        assert_eq!(image, GrayImage::new(3, 2, 7), "3 x 2");
+        for pixels in [0, 5, 7] {
+            let image: Result<GrayImage, _> = postcard::from_bytes(&bytes(pixels));
+            assert!(image.is_err(), "{pixels} pixels");
+        }
     }
 
     #[test]
