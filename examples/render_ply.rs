@@ -48,8 +48,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     // The same picture for the terminal: opacity in ten shades, one character per 5 x 10 pixels.
     for y in (5..camera.height).step_by(10) {
         let shade = |x: usize| {
-            let nine = picture.opacity[(x, y)] * 9.99;
-            " .:-=+*#%@".chars().nth(nine as usize).unwrap_or('@')
+            let tenths = 10.0 * picture.opacity[(x, y)];
+            let full = (1u8..10).filter(|k| tenths >= f32::from(*k)).count();
+            " .:-=+*#%@".chars().nth(full).unwrap_or('@')
         };
         let line: String = (2..camera.width).step_by(5).map(shade).collect();
         println!("{}", line.trim_end());

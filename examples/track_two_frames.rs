@@ -2,7 +2,12 @@
 //! depth, pose (chapters 2, 3 and 6 of the book). The truth is that of the motion-capture system.
 //!
 //! `cargo run --release --example track_two_frames`
-#![allow(clippy::print_stdout, reason = "an example speaks to its reader")]
+#![allow(
+    clippy::print_stdout,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "an example speaks to its reader; keypoints lie inside the picture"
+)]
 
 use std::error::Error;
 use std::path::Path;

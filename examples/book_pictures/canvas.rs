@@ -2,6 +2,7 @@
 //! Pixel centres are at whole numbers, as everywhere in this project.
 
 use garad::core::{Image, RgbImage};
+use nalgebra::Vector2;
 
 pub(crate) type Color = [u8; 3];
 
@@ -151,7 +152,7 @@ impl Canvas {
 }
 
 pub(crate) fn length(x: f64, y: f64) -> f64 {
-    (x * x + y * y).sqrt()
+    Vector2::new(x, y).norm()
 }
 
 /// White at 0, blue below, orange above; full at -1 and 1.

@@ -25,6 +25,7 @@ mod poses;
 mod splats;
 mod training;
 
+type Draw = fn() -> Drawn;
 type Drawn = Result<RgbImage, Box<dyn Error>>;
 
 /// No picture depends on it.
@@ -33,7 +34,7 @@ fn par() -> Par {
 }
 
 /// File name and who draws it, in the order of the chapters.
-const PICTURES: &[(&str, fn() -> Drawn)] = &[
+const PICTURES: &[(&str, Draw)] = &[
     ("pixels", features::pixels),
     ("keypoints", features::keypoints),
     ("matches", features::matches),

@@ -75,13 +75,7 @@ fn costs(canvas: &mut Canvas) -> Result<(), Box<dyn std::error::Error>> {
         [[520.0, 34.0], [860.0, 340.0]],
         [[0.0, 12.0], [2.5, 4.5]],
         [&[0.0, 3.0, 6.0, 9.0, 12.0], &[3.0, 4.0]],
-        |v| {
-            if v == 3.0 {
-                "3 ".into()
-            } else {
-                format!("{v:.0} ")
-            }
-        },
+        |v| format!("{v:.0}"),
     );
     for (i, (lambda, color)) in [(1e-4, BLUE), (1.0, GREEN), (100.0, ORANGE)]
         .into_iter()

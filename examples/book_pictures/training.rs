@@ -73,11 +73,11 @@ pub(crate) fn coarse_to_fine() -> Drawn {
     Ok(canvas.picture)
 }
 
-/// The map after so many iterations, and level and loss of each.
-fn trained(
-    scene: &Scene,
-    iterations: usize,
-) -> Result<(Slam, Vec<(usize, f32)>), Box<dyn std::error::Error>> {
+/// A map, and level and loss of each iteration.
+type Trained = (Slam, Vec<(usize, f32)>);
+
+/// The map after so many iterations.
+fn trained(scene: &Scene, iterations: usize) -> Result<Trained, Box<dyn std::error::Error>> {
     let mut config = Config::default();
     config.train.per_keyframe = 0;
     config.train.per_frame = 0;

@@ -1,0 +1,309 @@
+//! The book holds to the code: every file, test, golden case, link and picture that a chapter names is
+//! there, and the examples run.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Component, Path, PathBuf};
+use std::process::Command;
+
+use garad_golden::stages::STAGES;
+
+const MAX_PICTURES_BYTES: u64 = 3 * 1024 * 1024;
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn source() -> PathBuf {
+    root().join("docs/book/src")
+}
+
+fn read(path: &Path) -> String {
+    fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// File name and text of each page.
+fn pages() -> Vec<(String, String)> {
+    let mut pages: Vec<(String, String)> = fs::read_dir(source())
+        .expect("the book's folder")
+        .map(|entry| entry.expect("readable").path())
+        .filter(|path| path.extension().is_some_and(|e| e == "md"))
+        .map(|path| {
+            let name = path.file_name().expect("a name").to_string_lossy();
+            (name.into_owned(), read(&path))
+        })
+        .collect();
+    pages.sort();
+    pages
+}
+
+/// The pages without the summary and the preface.
+fn chapters() -> Vec<(String, String)> {
+    let mut pages = pages();
+    pages.retain(|(name, _)| name != "SUMMARY.md" && name != "README.md");
+    assert!(pages.len() >= 16, "only {} chapters", pages.len());
+    pages
+}
+
+/// What stands between backticks, blocks of code left out.
+fn quoted(text: &str) -> Vec<&str> {
+    let prose = text.split("```").step_by(2);
+    prose
+        .flat_map(|part| part.split('`').skip(1).step_by(2))
+        .collect()
+}
+
+/// Link targets, those of pictures included.
+fn links(text: &str) -> Vec<&str> {
+    let prose = text.split("```").step_by(2);
+    prose
+        .flat_map(|part| part.split("](").skip(1))
+        .filter_map(|rest| rest.split(')').next())
+        .collect()
+}
+
+/// The part of a chapter under a heading.
+fn section<'t>(text: &'t str, heading: &str) -> Option<&'t str> {
+    let start = text.find(&format!("\n## {heading}\n"))?;
+    let body = &text[start + 4 + heading.len()..];
+    Some(body.find("\n## ").map_or(body, |end| &body[..end]))
+}
+
+/// `a/../b` as `b`.
+fn tidy(path: &Path) -> PathBuf {
+    let mut out = PathBuf::new();
+    for part in path.components() {
+        match part {
+            Component::ParentDir => {
+                out.pop();
+            }
+            part => out.push(part),
+        }
+    }
+    out
+}
+
+fn is_file_of_code(name: &str) -> bool {
+    let kinds = [".rs", ".py", ".md", ".toml"];
+    name.contains('/') && kinds.iter().any(|kind| name.ends_with(kind)) && !name.contains("//")
+}
+
+fn none(problems: &[String]) {
+    assert!(problems.is_empty(), "\n{}", problems.join("\n"));
+}
+
+#[test]
+fn files_that_are_named_exist() {
+    let mut problems = Vec::new();
+    for (page, text) in pages() {
+        for name in quoted(&text)
+            .into_iter()
+            .filter(|name| is_file_of_code(name))
+        {
+            if !root().join(name).is_file() {
+                problems.push(format!("{page}: no file {name}"));
+            }
+        }
+    }
+    none(&problems);
+}
+
+/// A line under "Pinned by" names a file and tests in it (several, parted by semicolons), or golden
+/// cases.
+#[test]
+fn tests_and_golden_cases_that_are_named_exist() {
+    let (mut problems, mut tests, mut cases) = (Vec::new(), 0, BTreeSet::new());
+    for (page, text) in chapters() {
+        let Some(pinned) = section(&text, "Pinned by") else {
+            problems.push(format!("{page}: says nothing of what pins it"));
+            continue;
+        };
+        for part in pinned.split("\n- ").flat_map(|item| item.split(';')) {
+            let mut file = None;
+            for name in quoted(part) {
+                if is_file_of_code(name) {
+                    file = Some((name, read(&root().join(name))));
+                } else if let Some((path, code)) = &file {
+                    tests += 1;
+                    if !code.contains(&format!("fn {name}(")) {
+                        problems.push(format!("{page}: no test {name} in {path}"));
+                    }
+                } else if name.contains('/') {
+                    let case = root().join("tests/golden").join(name);
+                    if !["case.json", "trace.json"]
+                        .iter()
+                        .any(|f| case.join(f).is_file())
+                    {
+                        problems.push(format!("{page}: no golden case {name}"));
+                    }
+                    cases.extend(name.split('/').next().map(str::to_owned));
+                }
+            }
+        }
+    }
+    none(&problems);
+    assert!(tests > 80, "only {tests} tests are named");
+    let unnamed: Vec<&str> = (STAGES.iter().map(|stage| stage.name))
+        .filter(|name| !cases.contains(*name))
+        .collect();
+    assert!(unnamed.is_empty(), "stages in no chapter: {unnamed:?}");
+}
+
+#[test]
+fn links_lead_somewhere() {
+    let mut problems = Vec::new();
+    for (page, text) in pages() {
+        for link in links(&text) {
+            let local = link.split('#').next().unwrap_or_default();
+            if link.starts_with("https://") || local.is_empty() {
+                continue;
+            }
+            let target = tidy(&source().join(local));
+            if !target.starts_with(root()) || !target.is_file() {
+                problems.push(format!("{page}: {link} leads nowhere"));
+            }
+        }
+    }
+    none(&problems);
+}
+
+#[test]
+fn the_summary_lists_every_chapter_once() {
+    let summary = read(&source().join("SUMMARY.md"));
+    let listed = links(&summary);
+    let mut problems = Vec::new();
+    for (page, text) in pages() {
+        let times = listed.iter().filter(|link| **link == page).count();
+        if page != "SUMMARY.md" && times != 1 {
+            problems.push(format!("{page}: {times} times in the summary"));
+        }
+        let title = text.lines().next().unwrap_or_default();
+        if !title.starts_with("# ") {
+            problems.push(format!("{page}: starts without a title"));
+        } else if times == 1 && !summary.contains(&format!("[{}]", &title[2..])) {
+            problems.push(format!("{page}: the summary has another title"));
+        }
+    }
+    none(&problems);
+}
+
+#[test]
+fn chapters_have_their_parts() {
+    let mut problems = Vec::new();
+    for (page, text) in chapters() {
+        let mut parts = vec!["By hand", "Read", "Pinned by"];
+        if page != "porting.md" {
+            parts.push("On a GPU");
+        }
+        for part in parts {
+            if section(&text, part).is_none_or(|body| body.len() < 100) {
+                problems.push(format!("{page}: no section \"{part}\""));
+            }
+        }
+    }
+    none(&problems);
+}
+
+#[test]
+fn pictures_are_there_small_and_used() {
+    let all: String = pages().into_iter().map(|(_, text)| text).collect();
+    let mut bytes = 0;
+    for entry in fs::read_dir(source().join("images")).expect("pictures") {
+        let path = entry.expect("readable").path();
+        let name = path.file_name().expect("a name").to_string_lossy();
+        assert!(all.contains(&format!("](images/{name})")), "{name}: unused");
+        let picture = fs::read(&path).expect("readable");
+        assert!(
+            image::load_from_memory(&picture).is_ok(),
+            "{name}: no picture"
+        );
+        bytes += picture.len() as u64;
+    }
+    assert!(bytes > 0, "no picture at all");
+    assert!(bytes <= MAX_PICTURES_BYTES, "{bytes} bytes of pictures");
+}
+
+/// Runs an example of this package, built as the tests are; what it printed.
+fn run_example(name: &str, args: &[&str]) -> String {
+    let mut cargo = Command::new(env!("CARGO"));
+    cargo
+        .current_dir(root())
+        .args(["run", "--quiet", "--offline"]);
+    if !cfg!(debug_assertions) {
+        cargo.arg("--release");
+    }
+    cargo.args(["--example", name, "--"]).args(args);
+    let output = cargo.output().expect("cargo starts");
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{name}: {error}");
+    String::from_utf8(output.stdout).expect("text")
+}
+
+/// The last number of the line that holds `words`.
+fn number_after(text: &str, words: &str) -> f64 {
+    let line = text.lines().find(|line| line.contains(words));
+    let line = line.unwrap_or_else(|| panic!("nobody says {words:?}:\n{text}"));
+    let rest = line.split(words).nth(1).unwrap_or_default();
+    let word = rest.split_whitespace().next().unwrap_or_default();
+    let number = word.trim_end_matches([',', ':']).parse();
+    number.unwrap_or_else(|_| panic!("no number after {words:?}:\n{text}"))
+}
+
+#[test]
+fn the_examples_run_and_say_what_they_should() {
+    let text = run_example("track_two_frames", &[]);
+    assert!(
+        number_after(&text, "with depth,") > 150.0,
+        "inliers:\n{text}"
+    );
+    assert!(
+        number_after(&text, "the pose is off by") < 10.0,
+        "mm:\n{text}"
+    );
+
+    let text = run_example("solve_pnp", &[]);
+    assert!(number_after(&text, "matches that agree:") > 50.0, "{text}");
+    assert!(number_after(&text, "pose is off by") < 5.0, "mm:\n{text}");
+
+    let text = run_example("run_crf", &[]);
+    let alone = number_after(&text, "alone,");
+    let together = number_after(&text, "after asking the neighbours,");
+    assert!(together < 0.4 * alone, "the field helps:\n{text}");
+
+    let text = run_example("check_gradient", &[]);
+    for name in [
+        "means",
+        "log-scales",
+        "quaternions",
+        "opacities",
+        "harmonics",
+        "pose",
+    ] {
+        let row = text.lines().find(|line| line.starts_with(name));
+        let worst = row.and_then(|row| row.split_whitespace().last()?.parse::<f64>().ok());
+        assert!(worst.is_some_and(|worst| worst < 1e-6), "{name}:\n{text}");
+    }
+
+    let text = run_example("render_ply", &[]);
+    assert!(text.contains("120 of them visible"), "{text}");
+    assert!(
+        text.lines().any(|line| line.contains('@')),
+        "a picture:\n{text}"
+    );
+}
+
+/// The committed pictures are those that today's code draws, byte for byte (ten seconds in release).
+#[test]
+fn extensive_pictures_are_drawn_by_the_code() {
+    if std::env::var_os("GARAD_EXTENSIVE").is_none() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    run_example("book_pictures", &[folder.path().to_str().expect("UTF-8")]);
+    for entry in fs::read_dir(source().join("images")).expect("pictures") {
+        let name = entry.expect("readable").file_name();
+        let fresh = fs::read(folder.path().join(&name)).expect("drawn");
+        let committed = fs::read(source().join("images").join(&name)).expect("readable");
+        assert!(fresh == committed, "{}: draw it again", name.display());
+    }
+}
