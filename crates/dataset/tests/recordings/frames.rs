@@ -14,6 +14,15 @@ fn any_number_ahead_gives_the_same_frames() {
         assert_eq!(frames.len(), 6, "length is known");
         let frames: Result<Vec<_>, _> = frames.collect();
         assert_eq!(frames.expect("good"), direct, "{prefetch} ahead");
+        for first in [0, 4, 6, 9] {
+            let rest: Result<Vec<_>, _> = dataset.frames_from(first, prefetch).collect();
+            let expected = &direct[first.min(6)..];
+            assert_eq!(
+                rest.expect("good"),
+                expected,
+                "from {first}, {prefetch} ahead"
+            );
+        }
     }
 }
 
