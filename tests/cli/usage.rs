@@ -4,7 +4,9 @@ use std::process::Stdio;
 
 use crate::support::{Bench, arg, garad, program, short};
 
-const COMMANDS: [&str; 7] = ["demo", "run", "ablate", "eval", "render", "synth", "golden"];
+const COMMANDS: [&str; 8] = [
+    "demo", "run", "ablate", "eval", "render", "synth", "golden", "trace",
+];
 
 #[test]
 fn help_and_version() {
