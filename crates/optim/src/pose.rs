@@ -137,8 +137,10 @@ pub fn optimise_pose(
         let visible = gate.visible(&start);
         let problem = PoseProblem {
             intrinsics,
-            huber: (round <= config.kernel_off_after_round)
-                .then(|| [config.chi2_2d.sqrt(), config.chi2_3d.sqrt()]),
+            kernels: huber_kernels(
+                (round <= config.kernel_off_after_round)
+                    .then(|| [config.chi2_2d.sqrt(), config.chi2_3d.sqrt()]),
+            ),
             observations: (0..observations.len())
                 .filter(|&i| inlier[i] && visible[i])
                 .map(|i| observations[i])
@@ -175,8 +177,8 @@ pub fn optimise_pose(
 #[derive(Debug, Clone)]
 pub struct PoseProblem {
     intrinsics: Intrinsics,
-    /// δ with 2 and with 3 rows; plain least squares without.
-    huber: Option<[f64; 2]>,
+    /// With 2 and with 3 rows.
+    kernels: [RobustKernel; 2],
     observations: Vec<PoseObservation>,
 }
 
@@ -190,12 +192,29 @@ impl PoseProblem {
         huber: Option<[f64; 2]>,
         observations: Vec<PoseObservation>,
     ) -> Self {
+        Self::with_kernels(camera, bf, huber_kernels(huber), observations)
+    }
+
+    /// The same with any kernels, of observations without and with depth.
+    #[must_use]
+    pub fn with_kernels(
+        camera: &Camera,
+        bf: f64,
+        kernels: [RobustKernel; 2],
+        observations: Vec<PoseObservation>,
+    ) -> Self {
         Self {
             intrinsics: Intrinsics::new(camera, bf),
-            huber,
+            kernels,
             observations,
         }
     }
+}
+
+fn huber_kernels(deltas: Option<[f64; 2]>) -> [RobustKernel; 2] {
+    deltas.map_or([RobustKernel::None; 2], |deltas| {
+        deltas.map(|delta| RobustKernel::Huber { delta })
+    })
 }
 
 impl PoseObservation {
@@ -214,13 +233,7 @@ impl Problem<6> for PoseProblem {
     #[inline]
     fn blocks(&self, camera_from_world: &Se3, visitor: &mut impl Visitor<6>) {
         let k = &self.intrinsics;
-        let kernel = |rows: usize| match self.huber {
-            None => RobustKernel::None,
-            Some(delta) => RobustKernel::Huber {
-                delta: delta[rows - 2],
-            },
-        };
-        let (kernel2, kernel3) = (kernel(2), kernel(3));
+        let [kernel2, kernel3] = self.kernels;
         let rotation = camera_from_world.rotation.matrix();
         for observation in &self.observations {
             let p_cam = rotation * observation.p_world + camera_from_world.translation;
@@ -285,7 +298,7 @@ impl Gate<'_> {
     fn information(&self, pose: &Se3, inlier: &[bool]) -> Matrix6<f64> {
         let problem = PoseProblem {
             intrinsics: self.intrinsics,
-            huber: None,
+            kernels: huber_kernels(None),
             observations: (self.observations.iter().zip(inlier))
                 .filter(|&(_, &inlier)| inlier)
                 .map(|(o, _)| *o)

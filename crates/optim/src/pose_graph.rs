@@ -154,6 +154,7 @@ impl PoseGraph {
             RobustKernel::None => {}
             RobustKernel::Huber { delta: scale }
             | RobustKernel::Cauchy { c: scale }
+            | RobustKernel::GemanMcClure { c: scale }
             | RobustKernel::Tukey { c: scale } => positive("scale of the kernel", 0, scale)?,
         }
         let not_finite = |what, index| Err(OptimError::NotFinite { what, index });

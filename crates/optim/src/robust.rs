@@ -13,11 +13,12 @@
 /// | Huber, s ≤ δ² | s | 1 |
 /// | Huber, s > δ² | 2 δ √s - δ² | δ / √s |
 /// | Cauchy | c² ln(1 + s/c²) | 1 / (1 + s/c²) |
+/// | Geman-McClure | s / (1 + s/c²) | 1 / (1 + s/c²)² |
 /// | Tukey, s ≤ c² | c²/3 (1 - (1 - s/c²)³) | (1 - s/c²)² |
 /// | Tukey, s > c² | c²/3 | 0 |
 ///
-/// Huber is convex in r and never loses a block; Cauchy and Tukey let far blocks go and need a good
-/// start.
+/// Huber is convex in r and never loses a block; the others let far blocks go and need a good start.
+/// Under Geman-McClure no block costs more than c², and none is ever quite without a pull.
 ///
 /// # Example
 /// ```
@@ -41,6 +42,11 @@ pub enum RobustKernel {
         /// Norm of the residual whose weight is ½.
         c: f64,
     },
+    /// Tends to c².
+    GemanMcClure {
+        /// Norm of the residual whose weight is ¼.
+        c: f64,
+    },
     /// Constant from c on.
     Tukey {
         /// Norm of the residual from which on it counts no more.
@@ -58,6 +64,7 @@ impl RobustKernel {
             Self::Huber { delta } if s <= delta * delta => s,
             Self::Huber { delta } => 2.0 * delta * s.sqrt() - delta * delta,
             Self::Cauchy { c } => c * c * libm::log1p(s / (c * c)),
+            Self::GemanMcClure { c } => s / (1.0 + s / (c * c)),
             Self::Tukey { c } => {
                 let x = (s / (c * c)).min(1.0);
                 // 1 - (1 - x)³ without the difference of two numbers near 1
@@ -75,6 +82,10 @@ impl RobustKernel {
             Self::Huber { delta } if s <= delta * delta => 1.0,
             Self::Huber { delta } => delta / s.sqrt(),
             Self::Cauchy { c } => 1.0 / (1.0 + s / (c * c)),
+            Self::GemanMcClure { c } => {
+                let x = 1.0 + s / (c * c);
+                1.0 / (x * x)
+            }
             Self::Tukey { c } => {
                 let x = (s / (c * c)).min(1.0);
                 (1.0 - x) * (1.0 - x)
@@ -88,11 +99,12 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn kernels(scale: f64) -> [RobustKernel; 4] {
+    fn kernels(scale: f64) -> [RobustKernel; 5] {
         [
             RobustKernel::None,
             RobustKernel::Huber { delta: scale },
             RobustKernel::Cauchy { c: scale },
+            RobustKernel::GemanMcClure { c: scale },
             RobustKernel::Tukey { c: scale },
         ]
     }
@@ -106,6 +118,7 @@ mod tests {
             }
             RobustKernel::Huber { .. } => s,
             RobustKernel::Cauchy { c } => c * c * libm::log(1.0 + s / (c * c)),
+            RobustKernel::GemanMcClure { c } => c * c * s / (c * c + s),
             RobustKernel::Tukey { c } if s > c * c => c * c / 3.0,
             RobustKernel::Tukey { c } => {
                 let inside = 1.0 - s / (c * c);
@@ -140,12 +153,13 @@ mod tests {
 
     #[test]
     fn a_far_block_pulls_as_it_should() {
-        // Influence |d(rho/2)/dr| = r rho'(r²): r, delta, about c²/r, 0.
+        // Influence |d(rho/2)/dr| = r rho'(r²): r, delta, about c²/r, about c⁴/r³, 0.
         let influence = kernels(2.0).map(|k| 1000.0 * k.weight(1e6));
         assert!((influence[0] - 1000.0).abs() < 1e-9, "none: {influence:?}");
         assert!((influence[1] - 2.0).abs() < 1e-12, "Huber: {influence:?}");
         assert!((influence[2] - 4e-3).abs() < 1e-7, "Cauchy: {influence:?}");
-        assert!(influence[3].abs() < 1e-300, "Tukey: {influence:?}");
+        assert!((influence[3] - 16e-9).abs() < 1e-12, "G-McC: {influence:?}");
+        assert!(influence[4].abs() < 1e-300, "Tukey: {influence:?}");
     }
 
     proptest! {

@@ -394,6 +394,7 @@ fn kernels_are_those_of_the_table() {
         let kernel = match case.param_str("kernel") {
             "huber" => RobustKernel::Huber { delta: scale },
             "cauchy" => RobustKernel::Cauchy { c: scale },
+            "geman_mcclure" => RobustKernel::GemanMcClure { c: scale },
             "tukey" => RobustKernel::Tukey { c: scale },
             other => panic!("{}: no kernel '{other}'", case.name()),
         };

@@ -23,6 +23,10 @@ def cauchy(s, c):
     return c * c * mp.log(1 + s / (c * c))
 
 
+def geman_mcclure(s, c):
+    return s / (1 + s / (c * c))
+
+
 def tukey(s, c):
     return c * c / 3 * (1 - (1 - s / (c * c)) ** 3) if s <= c * c else c * c / 3
 
@@ -34,7 +38,7 @@ def by_scipy(loss, s, scale):
 
 
 if __name__ == "__main__":
-    for name, rho in [("huber", huber), ("cauchy", cauchy), ("tukey", tukey)]:
+    for name, rho in [("huber", huber), ("cauchy", cauchy), ("geman_mcclure", geman_mcclure), ("tukey", tukey)]:
         for scale in (0.5, 2.447651936039926):
             knee = scale * scale
             s = np.concatenate([[0.0], np.geomspace(1e-12, 1e6, 37), knee * np.array([0.9, 1 - 1e-9, 1 + 1e-9, 1.1])])
@@ -42,10 +46,11 @@ if __name__ == "__main__":
             # one-sided at 0, where s cannot be negative
             slopes = [float(mp.diff(lambda v: rho(v, mp.mpf(scale)), mp.mpf(float(v)), direction=1 if v == 0 else 0,
                                     h=mp.mpf(10) ** -25 * max(v, 1e-12))) for v in s]
-            if name != "tukey":
+            in_scipy = name in ("huber", "cauchy")
+            if in_scipy:
                 assert all(abs(by_scipy(name, v, scale) - r) <= 1e-13 * (1 + r) for v, r in zip(s, values))
             write_case(
-                "robust", f"{name}_{scale:.1f}", basis="mpmath-50" + (" + scipy" if name != "tukey" else ""),
+                "robust", f"{name}_{scale:.1f}", basis="mpmath-50" + (" + scipy" if in_scipy else ""),
                 why="value and weight from the centre to far outside, and around the knee", script="gen/robust.py",
                 params={"kernel": name, "scale": scale}, inputs={"s": (s, "1")},
                 outputs={"rho": (np.array(values), "1", "robust.rho"), "weight": (np.array(slopes), "1", "robust.weight")},
