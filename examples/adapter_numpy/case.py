@@ -24,7 +24,8 @@ class Case:
         if "file" in entry:
             array = np.load(self.folder / entry["file"])
         else:
-            array = np.array(entry["data"], DTYPES[entry["dtype"]])     # "nan" and "inf" are strings
+            data = np.array(entry["data"], DTYPES[entry["dtype"]])      # "nan" and "inf" are strings
+            array = data.reshape(entry["shape"])                        # lists without rows do not say how wide they are
         # A GPU computes in float32.
         return array.astype(np.float32) if array.dtype == np.float64 else array
 

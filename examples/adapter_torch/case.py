@@ -28,7 +28,7 @@ class Case:
         if "file" in entry:
             array = np.load(self.folder / entry["file"])
         else:
-            array = np.array(entry["data"], DTYPES[entry["dtype"]])     # "nan" and "inf" are strings
+            array = np.array(entry["data"], DTYPES[entry["dtype"]]).reshape(entry["shape"])     # "nan" and "inf" are strings
         if array.dtype.kind == "f":
             array = array.astype(np.float64)
         return torch.from_numpy(np.ascontiguousarray(array))

@@ -34,8 +34,8 @@ pub(crate) fn order<const M: bool, const Z: bool>(splats: &[Splat<M, Z>], how: &
         Some(Slip::SortDropsOne) => {
             order.pop();
         }
-        Some(Slip::SortDoublesOne) => order.push(order[order.len() - 1]),
-        Some(Slip::PaddingDrawsZero) => order.insert(0, 0),
+        Some(Slip::SortDoublesOne) => order.extend(order.last().copied()),
+        Some(Slip::PaddingDrawsZero) if !splats.is_empty() => order.insert(0, 0),
         Some(Slip::PayloadOverwritten) if order.len() > 2 => order.swap(0, 1),
         // The mask is that of the list, read at the place in the sorted one.
         Some(Slip::MaskBySortedIndex) => {

@@ -80,6 +80,7 @@ fn raster_bugs() -> Vec<Bug> {
         bug(NoStop, forward, "port"),
         bug(EarlyStop, forward, "port"),
         bug(ConicFactor, backward, "graphdeco-inria/gaussian-splatting#551"),
+        bug(EmptyShape, backward, "graphdeco-inria/gaussian-splatting#472"),
         bug(SubtleConic, backward, "port"),
         bug(AbsoluteGradient, backward, "openvdb/fvdb-core#354"),
         bug(ScaleForLogScale, backward, "openvdb/fvdb-core#432"),

@@ -1,7 +1,7 @@
 //! A renderer of its own in f32, forwards and backwards, whose mistakes and liberties can be switched on. It shares
 //! no code with garad: every pixel meets every splat.
 
-use garad_golden::{Case, Dtype};
+use garad_golden::{Case, Dtype, Tensor};
 
 use super::answers::{self, Out};
 use super::blend::{Up, blend, blend_backward, order};
@@ -28,6 +28,7 @@ pub(crate) enum Slip {
     DepthNotInGradient,
     DirectionOfOtherCamera,
     EarlyStop,
+    EmptyShape,
     FootprintOfEight,
     FootprintOfThirtyTwo,
     HalfPixel,
@@ -151,7 +152,7 @@ fn answer<const M: bool, const Z: bool>(case: &Case, how: &How) -> Out {
 }
 
 fn column<const M: bool, const Z: bool>(case: &Case, name: &str) -> Vec<N<M, Z>> {
-    let there = case.try_input(name).map(garad_golden::Tensor::f64);
+    let there = case.try_input(name).map(Tensor::f64);
     there.unwrap_or_default().into_iter().map(N::new).collect()
 }
 
@@ -356,10 +357,9 @@ fn backward<const M: bool, const Z: bool>(case: &Case, how: &How) -> Out {
     ] {
         answers::put_f32(&mut out, case, name, &values);
     }
-    debug_assert!(
-        case.output_names()
-            .all(|n| case.output(n).dtype() != Dtype::Bool),
-        "numbers alone"
-    );
+    if how.slip == Some(Slip::EmptyShape) && found.is_empty() {
+        let odd = Tensor::from_bytes(Dtype::F32, vec![0, 0, 3], Vec::new());
+        out.insert("d_sh".to_owned(), odd.ok_or_else(String::new));
+    }
     out
 }

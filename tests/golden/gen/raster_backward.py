@@ -176,8 +176,16 @@ def clamps(clamp):
           flags=["on-threshold"])
 
 
+def empty():
+    """Shapes are all there is to get wrong: a row per Gaussian, of which there is none."""
+    none = lambda *shape: np.zeros((0, *shape))
+    s = scene((12, 9), (10.0, 11.0, 5.5, 4.0), none(3), none(4), none(3), none(), none(1, 3), background=(0.1, 0.2, 0.3))
+    write("empty", "no Gaussian at all: gradients without rows, no pull on the pose", s, 3, flags=["empty"])
+
+
 def main():
     one()
+    empty()
     clamps("true")
     clamps("pass_through")
     q, t = (0.45, -0.69, 0.28, 0.49), (1.0, -2.0, 0.7)
