@@ -93,7 +93,10 @@ fn the_committed_trace_is_made_again_by_one_and_by_two_threads() {
         ]);
         assert_eq!(code(&made), 0, "{made:?}");
         let found = diff(&committed(), &out, Judge::Exact).expect("two traces");
-        assert!(found.differences.is_empty(), "{threads} thread(s): {found}");
+        assert!(
+            found.differences.is_empty(),
+            "{threads} thread(s): {found}\nif that is meant, tests/golden/README.md says how to write the trace anew"
+        );
         assert!(found.compared > 300, "only {} tensors", found.compared);
     }
 }
@@ -106,6 +109,17 @@ fn every_output_says_what_it_rests_on_and_most_on_something_outside() {
     let index = Index::load(&folder).expect("committed");
     let basis = fs::read(folder.join("basis.json")).expect("there");
     let basis: Value = serde_json::from_slice(&basis).expect("JSON");
+    let stages = garad_slam::trace::STAGES;
+    let unknown = index
+        .tensors
+        .iter()
+        .find(|e| !stages.contains(&e.stage.as_str()));
+    assert!(unknown.is_none(), "{unknown:?}: not in STAGES");
+    let written = stages
+        .iter()
+        .filter(|s| index.tensors.iter().any(|e| e.stage == **s));
+    // A reference keyframe is looked at only where prediction fails.
+    assert_eq!(written.count(), stages.len() - 1, "all but match_reference");
     let (mut outputs, mut checked) = (0.0, 0.0);
     let mut known: Vec<String> = Vec::new();
     for entry in index.tensors.iter().filter(|e| e.role == Role::Output) {
