@@ -31,7 +31,7 @@ class Case:
             array = np.array(entry["data"], DTYPES[entry["dtype"]]).reshape(entry["shape"])     # "nan" and "inf" are strings
         if array.dtype.kind == "f":
             array = array.astype(np.float64)
-        return torch.from_numpy(np.ascontiguousarray(array))
+        return torch.from_numpy(np.ascontiguousarray(array.reshape(entry["shape"])))
 
 
 def write(folder, outputs):

@@ -1,14 +1,21 @@
 //! Chapters 12 and 13: a map that learns from coarse to fine, and why the order of a sum matters.
 
-use garad::core::{Real, RgbImage, Rng};
+use garad::core::{GaussianMap, KeyframeId, Real, RgbImage, Rng};
 use garad::pictures::color_picture;
 use garad::raster::{RenderOptions, fast};
-use garad::slam::{Config, FrameInput, Silent, Slam};
-use garad::synth::{Scene, SceneConfig, SceneName};
+use garad::slam::Config;
+use garad::slam::mapper::insert::{Picture, seed_from_depth};
+use garad::slam::mapper::train::{Pick, Trainer};
+use garad::slam::mapper::view::TrainingView;
+use garad::synth::{Scene, SceneConfig, SceneName, SynthFrame};
 
 use crate::canvas::{BLACK, BLUE, Canvas, GREEN, ORANGE};
 use crate::chart::Chart;
 use crate::{Drawn, par};
+
+/// The keyframes of the small map.
+const KEYFRAMES: [usize; 3] = [0, 5, 11];
+const ITERATIONS: usize = 240;
 
 /// What the map looks like before and after training, and the loss on the way.
 pub(crate) fn coarse_to_fine() -> Drawn {
@@ -19,84 +26,54 @@ pub(crate) fn coarse_to_fine() -> Drawn {
         static_twin: true,
         ..SceneConfig::new(SceneName::QuietDesk)
     })?;
-    let mut canvas = Canvas::new(3 * 250, 520);
-    let mut left = 5;
-    let mut losses = Vec::new();
-    let mut last = None;
-    for iterations in [0, 30, 240] {
-        let (slam, levels) = trained(&scene, iterations)?;
-        let pose = slam
-            .trajectory()
-            .last()
-            .ok_or("not tracked")?
-            .world_from_camera;
-        let map = slam.gaussians().ok_or("no map")?;
-        let options = RenderOptions::default();
-        let drawn = fast::render(map, slam.camera(), &pose.inverse(), &options, par())?;
-        canvas.text(
-            [left as f64, 6.0],
-            &format!("{iterations} iterations"),
-            BLACK,
-        );
-        canvas.paste(&color_picture(&drawn), [left, 28], 1);
-        left += 250;
-        losses = levels;
-        last = Some(drawn);
+    let (camera, config) = (scene.camera(), Config::default());
+    let pose_of = |id: KeyframeId| scene.world_from_camera(KEYFRAMES[id.0 as usize]).inverse();
+    let mut map = GaussianMap::new(0);
+    let mut trainer = Trainer::new(&camera, 0)?;
+    for (id, &index) in (0..).map(KeyframeId).zip(&KEYFRAMES) {
+        let SynthFrame { rgb, depth, .. } = scene.frame(index, par());
+        let picture = Picture {
+            rgb: &rgb,
+            depth: &depth,
+            mask: None,
+        };
+        let (pose, seed, reach_m) = (pose_of(id), &config.seed, config.features.max_depth_m);
+        seed_from_depth(&mut map, &picture, &camera, &pose, id, seed, reach_m, par());
+        trainer.add_view(TrainingView::new(id, rgb, Some(depth), None, 0));
     }
-    last.ok_or("nothing drawn")?;
+    let mut canvas = Canvas::new(3 * 250, 520);
     let chart = Chart::new(
         &mut canvas,
         [[60.0, 250.0], [730.0, 480.0]],
-        [[0.0, 240.0], [0.0, 0.6]],
-        [&[0.0, 60.0, 120.0, 180.0, 240.0], &[0.0, 0.2, 0.4, 0.6]],
+        [[0.0, ITERATIONS as f64], [0.0, 0.15]],
+        [&[0.0, 60.0, 120.0, 180.0, 240.0], &[0.0, 0.05, 0.1, 0.15]],
         |v| format!("{v}"),
     );
     canvas.text([60.0, 226.0], "loss:", BLACK);
-    for (level, color) in [(2, ORANGE), (1, GREEN), (0, BLUE)] {
-        let x = 160.0 + 150.0 * f64::from(2 - level);
-        canvas.text(
-            [x, 226.0],
-            ["full size", "1/2", "1/4"][level as usize],
-            color,
-        );
-        for (i, (_, loss)) in losses
-            .iter()
-            .enumerate()
-            .filter(|(_, step)| step.0 == level as usize)
-        {
-            let point = [i as f64, f64::from(*loss)];
-            if chart.holds(point) {
-                canvas.disc(chart.at(point), 2.5, color);
-            }
+    let levels = [("full size", BLUE), ("1/2", GREEN), ("1/4", ORANGE)];
+    for ((name, color), left) in levels.into_iter().rev().zip([160.0, 310.0, 460.0]) {
+        canvas.text([left, 226.0], name, color);
+    }
+    let mut left = 5;
+    for i in 0..=ITERATIONS {
+        if [0, 30, ITERATIONS].contains(&i) {
+            let pose = pose_of(KeyframeId(2));
+            let drawn = fast::render(&map, &camera, &pose, &RenderOptions::default(), par())?;
+            canvas.text([left as f64, 6.0], &format!("{i} iterations"), BLACK);
+            canvas.paste(&color_picture(&drawn), [left, 28], 1);
+            left += 250;
+        }
+        // As in a refinement, nothing grows in the second half.
+        let grow = (i < ITERATIONS / 2).then_some(&config.densify);
+        let pick = Pick::Shuffled;
+        let step = trainer.step(&mut map, pick, pose_of, 1.0, &config.train, grow, par())?;
+        let step = step.ok_or("nothing to train on")?;
+        let point = [i as f64, f64::from(step.loss)];
+        if chart.holds(point) {
+            canvas.disc(chart.at(point), 2.5, levels[step.level].1);
         }
     }
     Ok(canvas.picture)
-}
-
-/// A map, and level and loss of each iteration.
-type Trained = (Slam, Vec<(usize, f32)>);
-
-/// The map after so many iterations.
-fn trained(scene: &Scene, iterations: usize) -> Result<Trained, Box<dyn std::error::Error>> {
-    let mut config = Config::default();
-    config.train.per_keyframe = 0;
-    config.train.per_frame = 0;
-    config.train.refine = iterations;
-    let mut slam = Slam::new(scene.camera(), config, 0, par())?;
-    for i in 0..scene.len() {
-        let frame = scene.frame(i, par());
-        let input = FrameInput {
-            t_s: frame.t_s,
-            rgb: &frame.rgb,
-            depth: &frame.depth,
-            mask: None,
-        };
-        slam.process(&input, &mut Silent)?;
-    }
-    slam.finish()?;
-    let mut steps = Vec::new();
-    slam.refine_map(&mut |step| steps.push((step.level, step.loss)))?;
-    Ok((slam, steps))
 }
 
 /// One hundred thousand numbers added in f32 in five hundred orders: how often which answer.
