@@ -277,17 +277,10 @@ def check_bundle(checks, run, intrinsics, bf):
 
 def check_train(checks, run, gaussians, camera, config):
     """The picture of the map inserted, drawn dense and in 80 bits, and the loss of the picture drawn."""
-    level = int(run["level"][0])
-    width, height = (-(-n // 2 ** level) for n in camera["size"])
-    pose = run["camera_from_world"]
+    level, pose = int(run["level"][0]), run["camera_from_world"]
     if gaussians is not None:
         keep = gaussians["label"] == 0
-        quaternion = quaternion_of(pose[:, :3])
-        sh = gaussians["sh"][keep]
-        scene = {"size": (width, height), "intrinsics": [v / 2 ** level for v in camera["fx_fy_cx_cy"]], "q": quaternion,
-                 "t": pose[:, 3], "background": np.zeros(3)}
-        scene |= {name: gaussians[name][keep].astype(float) for name in ("means", "quaternions", "log_scales", "opacity_logits")} | {"sh": sh.astype(float)}
-        drawn, _ = raster.render(scene)
+        drawn = draw({name: v[keep] for name, v in gaussians.items()}, camera, level, pose)
         for name, other in [("color", drawn["color"][0]), ("depth_m", drawn["depth"][0]), ("opacity", 1 - drawn["transmittance"][0])]:
             checks.same(run, name, other, "gen/raster.py, dense, 80 bits", abs_=2e-4, share=2e-2)
     t, excluded = config["train"], run["excluded"] == 0
@@ -300,6 +293,51 @@ def check_train(checks, run, gaussians, camera, config):
     if gaussians is not None:  # later iterations have moved the opacities that are punished
         moving = 1 / (1 + np.exp(-gaussians["opacity_logits"][gaussians["label"] == 1].astype(float)))
         checks.same(run, "loss", [loss + t["lambda_dynamic"] * (moving ** 2).sum()], "gen/losses.py", rel=1e-5)
+
+
+def draw(gaussians, camera, level, pose):
+    width, height = (-(-n // 2 ** level) for n in camera["size"])
+    scene = {"size": (width, height), "intrinsics": [v / 2 ** level for v in camera["fx_fy_cx_cy"]],
+             "q": quaternion_of(pose[:, :3]), "t": pose[:, 3], "background": np.zeros(3)}
+    names = ("means", "quaternions", "log_scales", "opacity_logits", "sh")
+    return raster.render(scene | {name: gaussians[name].astype(float) for name in names})[0]
+
+
+def check_insert(checks, run, before, picture, masks, last, camera, config):
+    """A Gaussian for every lattice pixel with depth that the map before leaves open, then one per new landmark."""
+    seed, depth, pose = config["seed"], picture["depth_m"], last["camera_from_world"]
+    fx, fy, cx, cy = camera["fx_fy_cx_cy"]
+    focal, stride, (height, width) = (fx + fy) / 2, seed["stride_px"], depth.shape
+    moving = np.kron(masks["cells"], np.ones((CELL, CELL)))[:height, :width]
+    near = ndimage.maximum_filter(moving, size=2 * stride + 1, mode="constant")
+    drawn = draw(before, camera, 2, pose)
+    means, sigmas = [], []
+    for y in range(stride // 2, height, stride):
+        for x in range(stride // 2, width, stride):
+            z = float(depth[y, x])
+            if not (usable(depth[y, x], config) and near[y, x] == 0):
+                continue
+            at = int(y / 4 + 0.5), int(x / 4 + 0.5)
+            inside = at[0] < drawn["depth"][0].shape[0] and at[1] < drawn["depth"][0].shape[1]
+            if inside:
+                opacity = 1 - drawn["transmittance"][0][at]
+                if opacity >= seed["explained_opacity"] and drawn["depth"][0][at] / opacity <= z * (1 + seed["depth_ratio"]):
+                    continue
+            p = np.array([(x - cx) * z / fx, (y - cy) * z / fy, z])
+            means.append(pose[:, :3].T @ (p - pose[:, 3]))
+            sigmas.append(seed["footprint"] * stride * z / focal)
+    known = {int(l): p for l, p in zip(last["landmark"], last["p_world"])}
+    old = set(before["landmark"].tolist())
+    for tag in run["landmark"][len(before["means"]) + len(means):].tolist():
+        if tag in known and tag not in old:
+            means.append(known[tag])
+            sigmas.append(seed["footprint"] * stride * (pose[:, :3] @ known[tag] + pose[:, 3])[2] / focal)
+    n, all_ = len(means), lambda name, new: np.concatenate([before[name].astype(float), new])
+    basis = "numpy, on a picture by gen/raster.py"
+    checks.same(run, "means", all_("means", np.array(means)), basis, abs_=1e-6)
+    checks.same(run, "log_scales", all_("log_scales", np.repeat(np.log(sigmas), 3).reshape(-1, 3)), basis, abs_=1e-6)
+    checks.same(run, "quaternions", all_("quaternions", np.tile([1.0, 0, 0, 0], (n, 1))), basis)
+    checks.same(run, "opacity_logits", all_("opacity_logits", np.full(n, np.log(seed["opacity"] / (1 - seed["opacity"])))), basis, abs_=1e-6)
 
 
 def quaternion_of(rotation):
@@ -341,6 +379,9 @@ def main():
             check_bundle(checks, run, intrinsics, bf)
         elif stage == "train":
             check_train(checks, run, get(frame, "insert") if call == 0 else None, camera, config)
+        elif stage == "insert":
+            check_insert(checks, run, get(frame, "map_before"), get(frame, "input"), get(frame, "masks"), get(frame, "trajectory"),
+                         camera, config)
         elif stage == "trajectory":
             last = [r["after"] for k, r in runs.items() if k[:2] == (frame, "pose")][-1]
             adjusted = get(frame, "bundle")
