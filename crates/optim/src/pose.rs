@@ -192,22 +192,16 @@ impl PoseProblem {
         huber: Option<[f64; 2]>,
         observations: Vec<PoseObservation>,
     ) -> Self {
-        Self::with_kernels(camera, bf, huber_kernels(huber), observations)
-    }
-
-    /// The same with any kernels, of observations without and with depth.
-    #[must_use]
-    pub fn with_kernels(
-        camera: &Camera,
-        bf: f64,
-        kernels: [RobustKernel; 2],
-        observations: Vec<PoseObservation>,
-    ) -> Self {
         Self {
             intrinsics: Intrinsics::new(camera, bf),
-            kernels,
+            kernels: huber_kernels(huber),
             observations,
         }
+    }
+
+    /// Takes other kernels, of observations without and with depth.
+    pub fn set_kernels(&mut self, kernels: [RobustKernel; 2]) {
+        self.kernels = kernels;
     }
 }
 

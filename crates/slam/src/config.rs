@@ -3,7 +3,7 @@
 //! The defaults are ORB-SLAM's RGB-D values where nothing else is said (Mur-Artal & Tardós 2017,
 //! Campos et al. 2021); what was changed on real recordings is argued in `docs/decisions/`.
 
-use garad_crf::{CrfConfig, CrfError};
+use garad_crf::{CrfConfig, CrfError, DepthNoise};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -25,6 +25,8 @@ pub struct Config {
     pub features: FeatureConfig,
     /// Pose from matches.
     pub tracking: TrackingConfig,
+    /// First pose from keypoints and depth together.
+    pub surface: SurfaceConfig,
     /// Keyframes and landmarks.
     pub keyframes: KeyframeConfig,
     /// Matches sharpened by Lucas-Kanade.
@@ -55,6 +57,7 @@ impl Default for Config {
         Self {
             features: FeatureConfig::default(),
             tracking: TrackingConfig::default(),
+            surface: SurfaceConfig::default(),
             keyframes: KeyframeConfig::default(),
             refine: RefineConfig::default(),
             local_ba: LocalBaConfig::default(),
@@ -178,6 +181,38 @@ impl Default for TrackingConfig {
             bf: 40.0,
             depth_residual: DepthResidual::Right,
             disparity_sigma_px: 0.3,
+        }
+    }
+}
+
+/// The depth picture's say in a frame's first pose (decision 009).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SurfaceConfig {
+    /// Off: keypoints alone decide, as in ORB-SLAM.
+    pub enabled: bool,
+    /// Pictures of so many keyframes are compared with, youngest first.
+    pub keyframes: usize,
+    /// Standard deviation of the mean depth of 16 x 16 pixels: a quarter of `labels.noise`, most of
+    /// which the pixels share.
+    pub noise: DepthNoise,
+    /// Offset at which a block has lost three quarters of its weight, standard deviations.
+    pub outlier_sigmas: f64,
+    /// The same for a keypoint, in standard deviations of its place: px at level 0.
+    pub outlier_px: f64,
+}
+
+impl Default for SurfaceConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            keyframes: 3,
+            noise: DepthNoise {
+                per_m: 7.5e-4,
+                floor_m: 2.5e-3,
+            },
+            outlier_sigmas: 3.0,
+            outlier_px: 1.0,
         }
     }
 }
@@ -329,6 +364,14 @@ impl Config {
              inside(0.0, t.disparity_sigma_px, f64::INFINITY), positive),
             ("tracking.motion_radius_px", t.motion_radius_px,
              inside(0.0, t.motion_radius_px, 1e4), "a number in (0, 10000)"),
+            ("surface.noise.floor_m", self.surface.noise.floor_m,
+             inside(0.0, self.surface.noise.floor_m, f64::INFINITY), positive),
+            ("surface.noise.per_m", self.surface.noise.per_m,
+             self.surface.noise.per_m >= 0.0 && self.surface.noise.per_m.is_finite(), "0 or a positive number"),
+            ("surface.outlier_sigmas", self.surface.outlier_sigmas,
+             inside(0.0, self.surface.outlier_sigmas, f64::INFINITY), positive),
+            ("surface.outlier_px", self.surface.outlier_px,
+             inside(0.0, self.surface.outlier_px, f64::INFINITY), positive),
             ("train.lambda_ssim", self.train.lambda_ssim,
              (0.0..=1.0).contains(&self.train.lambda_ssim), "a number in [0, 1]"),
             ("train.lambda_depth", self.train.lambda_depth,

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::{Config, FeatureConfig};
 use crate::mask::moving_near;
+use crate::surface::Surface;
 
 /// A frame: its features in ideal pixels, their depth, and the landmarks they were found to be.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -39,6 +40,8 @@ pub struct Frame {
     pub in_use: Vec<bool>,
     /// The landmark behind each keypoint.
     pub landmark: Vec<Option<LandmarkId>>,
+    /// The depth picture in planes; kept by the youngest keyframes only.
+    pub(crate) surface: Option<Surface>,
     grid: Grid,
 }
 
@@ -85,11 +88,15 @@ impl Frame {
             .map(|p| mask.is_none_or(|m| label_at(m, p, reach_px) == Label::Static))
             .collect();
         let grid = Grid::new(camera, &uv_px, &in_use);
+        let noise = &config.surface.noise;
+        let surface = (config.surface.enabled)
+            .then(|| Surface::new(depth, config.features.max_depth_m, noise));
         Self {
             id,
             t_s,
             camera_from_world: Se3::identity(),
             landmark: vec![None; keypoints.len()],
+            surface,
             keypoints,
             descriptors,
             px,

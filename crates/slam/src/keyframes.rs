@@ -85,11 +85,16 @@ impl Slam {
         let since_last = (frame_id.0 - self.last_keyframe_frame.0) as usize;
         observer.begin(Stage::Keyframe);
         let id = self.add_keyframe(frame);
+        self.forget_surfaces(id);
         observer.end(Stage::Keyframe);
         let mask = match (&cells, input.mask) {
             (Some(cells), _) => Some(full_size(cells, input.rgb.size())),
             (None, given) => given.cloned(),
         };
+        if let Some(mask) = &mask {
+            let surface = &mut self.map.keyframe_mut(id).surface;
+            *surface = surface.take().map(|s| s.without_moving(mask));
+        }
         let mut labels = Vec::new();
         if self.config.labels.enabled && input.mask.is_none() {
             observer.begin(Stage::LabelMap);

@@ -13,6 +13,7 @@
 //! picture is not yet explained; the map learns the pictures). [`recover`] finds a lost camera
 //! again. [`session`] puts a run aside and takes it up again.
 
+pub(crate) mod agreement;
 pub mod config;
 pub mod frame;
 pub mod keyframes;
@@ -28,6 +29,7 @@ pub mod recover;
 pub mod refine;
 pub mod schedule;
 pub mod session;
+pub(crate) mod surface;
 pub mod system;
 pub mod trace;
 pub mod tracker;

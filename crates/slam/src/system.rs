@@ -311,6 +311,9 @@ impl Slam {
         self.tape
             .put("orb", |page| page.orb(&gray, scale, levels, &frame));
         self.tape.put("keypoints", |page| page.keypoints(&frame));
+        if let Some(surface) = &frame.surface {
+            self.tape.put("surface", |page| page.surface(surface));
+        }
 
         let mut cells = None;
         let inliers = match self.state {

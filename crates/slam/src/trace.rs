@@ -61,16 +61,18 @@ pub enum Values {
 /// No landmark, no keyframe.
 pub const NONE: u32 = u32::MAX;
 
-/// Every stage that writes, in the order of the data within a frame. `pose` runs after each
-/// search for matches; what follows `trajectory` is the mapper's.
-pub const STAGES: [&str; 21] = [
+/// Every stage that writes, in the order of the data within a frame. `pose` and
+/// `agreement` run after each search for matches; what follows `trajectory` is the mapper's.
+pub const STAGES: [&str; 23] = [
     "input",
     "orb",
     "keypoints",
+    "surface",
     "predict",
     "match_motion",
     "match_reference",
     "pose",
+    "agreement",
     "label",
     "masks",
     "flow_lk",

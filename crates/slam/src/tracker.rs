@@ -1,4 +1,4 @@
-//! Tracking: from a predicted pose to an optimised one (paper eq. 11).
+//! Tracking: from a predicted pose to an optimised one (paper eq. 11; decision 009).
 //!
 //! | step | input | output |
 //! |---|---|---|
@@ -11,6 +11,7 @@ use garad_features::LkPyramid;
 use garad_optim::{DepthObservation, PoseConfig, PoseObservation, optimise_pose};
 use serde::{Deserialize, Serialize};
 
+use crate::agreement::{LEAST_AT_FIRST, LEAST_OF_STATIC};
 use crate::config::DepthResidual;
 use crate::frame::Frame;
 use crate::map::by_count;
@@ -69,7 +70,7 @@ impl Slam {
                 .from_last_frame(&self.map, last, frame, radius);
             self.tape.put("match_motion", |page| page.links(frame));
             if matches >= config.motion_min_matches {
-                return self.optimise(frame) >= config.motion_min_inliers;
+                return self.agree(frame, LEAST_AT_FIRST) >= config.motion_min_inliers;
             }
         }
         false
@@ -85,7 +86,8 @@ impl Slam {
         let reference = self.map.keyframe(self.reference);
         let matches = self.matcher().from_keyframe(&self.map, reference, frame);
         self.tape.put("match_reference", |page| page.links(frame));
-        matches >= config.reference_min_matches && self.optimise(frame) >= config.motion_min_inliers
+        matches >= config.reference_min_matches
+            && self.agree(frame, LEAST_AT_FIRST) >= config.motion_min_inliers
     }
 
     /// Final pose: links every landmark of the local map that can be found in the frame, optimises
@@ -148,7 +150,7 @@ impl Slam {
             page.local_map(&visible);
             page.links(frame);
         });
-        let mut inliers = self.optimise(frame);
+        let mut inliers = self.agree(frame, LEAST_OF_STATIC);
         if let Some(pyramid) = pyramid
             && inliers > 0
         {

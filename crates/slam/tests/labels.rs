@@ -225,10 +225,11 @@ fn people_who_walk_are_found_and_kept_out_of_the_pose() {
     let (twin, alone) = walking_alone();
     let twin = ate_m(twin, alone);
     let [on, off] = [on, walking_unlabelled()].map(|run| ate_m(recording, run));
-    assert!(on < 0.018, "ATE {on} m (0.0135)");
+    assert!(on < 0.016, "ATE {on} m (0.0123)");
+    // Depth alone keeps the pose from half of what people would do to it (decision 009).
     assert!(
-        off > 2.5 * on,
-        "{off} m (0.058) without, {on} m with labels"
+        off > 1.5 * on,
+        "{off} m (0.0221) without, {on} m with labels"
     );
     assert!(on < 2.2 * twin, "{on} m, nobody there: {twin} m (0.0083)");
 }

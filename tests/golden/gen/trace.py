@@ -143,6 +143,63 @@ def check_pose(checks, run, intrinsics, bf):
     checks.same(run, "cost", [cost], "scipy", rel=1e-8)
 
 
+def planes(depth, config):
+    """Inverse depth as a linear function of the pixel, by numpy's least squares, in blocks of 16 x 16."""
+    noise, far, rows = config["surface"]["noise"], config["features"]["max_depth_m"], []
+    for y0 in range(0, depth.shape[0] - 15, 16):
+        for x0 in range(0, depth.shape[1] - 15, 16):
+            y, x = np.mgrid[-7.5:8, -7.5:8]
+            z = depth[y0:y0 + 16, x0:x0 + 16].astype(float)
+            good = (z > 0) & (z <= far)
+            rows.append([np.nan] * 5)
+            if good.sum() < 192:
+                continue
+            a, w = np.c_[x[good], y[good], np.ones(good.sum())], 1 / z[good]
+            plane = np.linalg.lstsq(a, w, rcond=None)[0]
+            middle = 1 / plane[2]
+            stray = np.sqrt(((a @ plane - w) ** 2).mean()) * middle ** 2
+            if plane[2] > 0 and stray <= 8 * max(noise["per_m"] * middle ** 2, noise["floor_m"]):
+                rows[-1] = [x0 + 7.5, y0 + 7.5, *plane]
+    return np.array(rows)
+
+
+def agreement_cost(run, pose, intrinsics, size, config):
+    """F of decision 009 at a pose, formula by formula."""
+    fx, fy, cx, cy = intrinsics
+    c, noise = config["surface"], config["surface"]["noise"]
+    geman = lambda s, scale: s / (1 + s / scale ** 2)
+    p = run["p_world"] @ pose[:, :3].T + pose[:, 3]
+    r = (np.c_[fx * p[:, 0] / p[:, 2] + cx, fy * p[:, 1] / p[:, 2] + cy] - run["uv_px"]) / run["sigma_px"][:, None]
+    cost = 0.5 * geman((r ** 2).sum(1), c["outlier_px"]).sum()
+    others = sum(f"patches_{k}" in run for k in range(c["keyframes"]))
+    now = run["patches"][~np.isnan(run["patches"][:, 0])]
+    x, y, w = now[:, 0], now[:, 1], now[:, 4]
+    p_world = (np.c_[(x - cx) / fx, (y - cy) / fy, np.ones(len(w))] / w[:, None] - pose[:, 3]) @ pose[:, :3]
+    for k in range(others):
+        then, other = run[f"patches_{k}"], run[f"pose_{k}"]
+        q = p_world @ other[:, :3].T + other[:, 3]
+        q = q[q[:, 2] >= 0.1]
+        u, v = fx * q[:, 0] / q[:, 2] + cx, fy * q[:, 1] / q[:, 2] + cy
+        columns, rows = size[0] // 16, size[1] // 16
+        bx, by = np.floor((u + 0.5) / 16).astype(int), np.floor((v + 0.5) / 16).astype(int)
+        inside = (bx >= 0) & (by >= 0) & (bx < columns) & (by < rows)
+        q, u, v, plane = q[inside], u[inside], v[inside], then[(by * columns + bx)[inside]]
+        expected = plane[:, 4] + plane[:, 2] * (u - plane[:, 0]) + plane[:, 3] * (v - plane[:, 1])
+        good = expected > 0
+        z = q[good, 2]
+        offset = (1 / z - expected[good]) * z ** 2
+        sigma = np.maximum(noise["per_m"] * z ** 2, noise["floor_m"])
+        cost += 0.5 * geman((offset / sigma) ** 2 / others, c["outlier_sigmas"] / np.sqrt(others)).sum()
+    return cost
+
+
+def check_agreement(checks, run, intrinsics, size, config):
+    cost = lambda pose: agreement_cost(run, pose, intrinsics, size, config)
+    checks.same(run, "cost", [cost(run["after"])], "numpy: the formula at the pose found", rel=1e-9)
+    if cost(run["after"]) > cost(run["before"]) * (1 + 1e-9):
+        checks.problems.append(f"{run.name}: the cost has risen")
+
+
 def field(nodes_of, config, log_odds):
     k, m = config["crf"]["kernels"], config["crf"]["mean_field"]
     o = crf.DEFAULT_FIELD | {name: k[name] for name in k} | {name: m[name] for name in ("normalisation", "self_message", "damping")}
@@ -365,6 +422,10 @@ def main():
             checks.same(run, "predicted", (full(run["velocity"]) @ full(run["last"]))[:3], "numpy: a product of matrices", abs_=1e-14)
         elif stage == "pose":
             check_pose(checks, run, intrinsics, bf)
+        elif stage == "surface":
+            checks.same(run, "patches", planes(depth, config), "numpy", abs_=1e-9, rel=1e-9)
+        elif stage == "agreement":
+            check_agreement(checks, run, intrinsics, depth.shape[::-1], config)
         elif stage == "label":
             check_label(checks, run, config)
         elif stage == "masks":

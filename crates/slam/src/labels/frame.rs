@@ -301,7 +301,7 @@ fn label_at(cells: &MaskImage, px: &Vector2<f64>) -> Label {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use garad_core::{KeyframeId, Par, Se3};
     use garad_features::{Descriptor, Keypoint};
 
@@ -314,24 +314,24 @@ pub(super) mod tests {
     const WALL_M: f32 = 3.0;
 
     /// A camera of 160 x 120 pixels at the origin.
-    pub(in crate::labels) fn slam(config: Config) -> Slam {
+    pub(crate) fn slam(config: Config) -> Slam {
         let camera = Camera::pinhole((160, 120), [120.0, 120.0, 79.5, 59.5]).expect("valid");
         Slam::new(camera, config, 0, Par::Seq).expect("valid")
     }
 
-    pub(in crate::labels) fn wall() -> DepthImage {
+    pub(crate) fn wall() -> DepthImage {
         DepthImage::new(160, 120, WALL_M)
     }
 
     /// A box half way to the wall that covers these columns and rows.
-    pub(in crate::labels) fn wall_behind(box_px: [[usize; 2]; 2]) -> DepthImage {
+    pub(crate) fn wall_behind(box_px: [[usize; 2]; 2]) -> DepthImage {
         DepthImage::from_fn(160, 120, |x, y| match is_in(box_px, x, y) {
             true => 0.5 * WALL_M,
             false => WALL_M,
         })
     }
 
-    pub(in crate::labels) fn is_in(
+    pub(crate) fn is_in(
         [[x0, x1], [y0, y1]]: [[usize; 2]; 2],
         x: usize,
         y: usize,
@@ -340,7 +340,7 @@ pub(super) mod tests {
     }
 
     /// Every 8th pixel each way: 20 columns of 15 keypoints.
-    pub(in crate::labels) fn places() -> Vec<[usize; 2]> {
+    pub(crate) fn places() -> Vec<[usize; 2]> {
         let columns = (4..160).step_by(8);
         columns
             .flat_map(|x| (4..120).step_by(8).map(move |y| [x, y]))
@@ -348,7 +348,7 @@ pub(super) mod tests {
     }
 
     /// A picture with a keypoint at each of [`places`].
-    pub(in crate::labels) fn frame(slam: &Slam, id: u32, depth: &DepthImage) -> Frame {
+    pub(crate) fn frame(slam: &Slam, id: u32, depth: &DepthImage) -> Frame {
         let keypoints: Vec<Keypoint> = places()
             .into_iter()
             .map(|[x, y]| Keypoint {
@@ -373,7 +373,7 @@ pub(super) mod tests {
     }
 
     /// Makes the frame a keyframe and its depth a witness.
-    pub(in crate::labels) fn keep(slam: &mut Slam, frame: Frame, depth: &DepthImage) -> KeyframeId {
+    pub(crate) fn keep(slam: &mut Slam, frame: Frame, depth: &DepthImage) -> KeyframeId {
         let id = slam.map.add_keyframe(frame);
         slam.witnesses.insert(id, Witness::new(depth, 8.0));
         id

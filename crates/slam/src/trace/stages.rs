@@ -12,6 +12,7 @@ use super::{NONE, Page, matrix};
 use crate::frame::Frame;
 use crate::labels::witness::Verdict;
 use crate::map::Map;
+use crate::surface::Surface;
 use crate::system::FrameInput;
 
 fn id(landmark: Option<LandmarkId>) -> u32 {
@@ -115,6 +116,44 @@ impl Page {
         self.makes("one_surface", "1", &[], one);
         let in_use = flags(frame.in_use.iter().copied());
         self.makes("in_use", "1", &[], in_use);
+    }
+
+    /// Per block: x₀, y₀, a, b, c of its plane; NaN without one.
+    pub(crate) fn surface(&mut self, surface: &Surface) {
+        self.makes("patches", "px, 1/(m px), 1/m", &[5], surface.numbers());
+    }
+
+    pub(crate) fn agreement(
+        &mut self,
+        links: &[PoseObservation],
+        surface: &Surface,
+        then: &[(&Surface, &Se3)],
+        before: &Se3,
+        found: (&Se3, f64),
+    ) {
+        let uv: Vec<Vector2<f64>> = links.iter().map(|o| o.uv_px).collect();
+        self.takes(
+            "p_world",
+            "m",
+            &[3],
+            triples(links.iter().map(|o| o.p_world)),
+        );
+        self.takes("uv_px", "px", &[2], pairs(&uv));
+        let sigma: Vec<f64> = links.iter().map(|o| o.sigma_px).collect();
+        self.takes("sigma_px", "px", &[], sigma);
+        self.takes("patches", "px, 1/(m px), 1/m", &[5], surface.numbers());
+        for (k, (then, then_from_world)) in then.iter().enumerate() {
+            self.takes(
+                format!("patches_{k}"),
+                "px, 1/(m px), 1/m",
+                &[5],
+                then.numbers(),
+            );
+            self.pose(false, &format!("pose_{k}"), then_from_world);
+        }
+        self.pose(false, "before", before);
+        self.pose(true, "after", found.0);
+        self.makes("cost", "1", &[], vec![found.1]);
     }
 
     pub(crate) fn predict(&mut self, last: &Se3, velocity: &Se3, predicted: &Se3) {
