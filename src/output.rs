@@ -7,6 +7,7 @@
 //! | `metrics.json` | every figure, for machines |
 //! | `report.html` | one page for people |
 //! | `labels/` | what was found to move: `keypoints.csv`, `masks/*.png` (a value per 4 x 4 pixels), `gaussians.csv` (counts per keyframe), `gaussians.ply` (all, with a label) |
+//! | `losses.csv` | loss of training: a row per mapping job (its last iteration) and per iteration of `--refine` |
 //! | `pictures/` | input, render, depth and keypoints of a few frames |
 //! | `config.toml` | every number as used |
 
@@ -175,6 +176,7 @@ pub fn write(out: &Path, result: &RunResult, judged: &Judged, warnings: &[String
     at_rest.retain(|i| label[i] == Label::Static);
     let map = write_ply(&out.join("map.ply"), &at_rest, &PlyOptions::default());
     write_labels(&out.join("labels"), result)?;
+    write_bytes_atomically(&out.join("losses.csv"), losses(result).as_bytes())?;
     let config = crate::config_file::write(result.slam.config())?;
     write_bytes_atomically(&out.join("config.toml"), config.as_bytes())?;
     write_bytes_atomically(
@@ -236,6 +238,25 @@ fn write_labels(out: &Path, result: &RunResult) -> Result<()> {
     let options = PlyOptions { label: true };
     let _ = write_ply(&out.join("gaussians.ply"), result.gaussians()?, &options);
     Ok(())
+}
+
+/// The losses of training. A number is the shortest decimal that reads back as the same f32, so equal
+/// files mean equal bits. A job that did not train has no row.
+fn losses(result: &RunResult) -> String {
+    let mut rows = String::from("when,iteration,keyframe,level,gaussians,loss\n");
+    let jobs = result.slam.mapped().iter();
+    for (i, (done, loss)) in jobs.filter_map(|done| Some((done, done.loss?))).enumerate() {
+        let (keyframe, gaussians) = (done.keyframe.0, done.gaussians);
+        rows.push_str(&format!("job,{i},{keyframe},,{gaussians},{loss}\n"));
+    }
+    for (i, step) in result.refined.iter().enumerate() {
+        let (keyframe, level, gaussians, loss) =
+            (step.keyframe.0, step.level, step.gaussians, step.loss);
+        rows.push_str(&format!(
+            "refine,{i},{keyframe},{level},{gaussians},{loss}\n"
+        ));
+    }
+    rows
 }
 
 /// Pictures of one moment.

@@ -7,6 +7,7 @@ use anyhow::{Context, Result};
 use garad_core::{Camera, GaussianMap, Label, MaskImage, Par, RgbImage, StampedPose};
 use garad_eval::{Confusion, RunLabels};
 use garad_slam::labels::FrameLabels;
+use garad_slam::mapper::train::TrainStep;
 use garad_slam::session::{SectionReader, SectionWriter};
 use garad_slam::{Config, FrameInput, FrameReport, SessionError, Slam, TrackingState};
 
@@ -107,6 +108,8 @@ pub struct RunResult {
     pub labels: Option<RunLabels>,
     /// What was found to move, frame by frame.
     pub found: Vec<FrameLabels>,
+    /// The iterations of the training after the last frame, one by one.
+    pub refined: Vec<TrainStep>,
 }
 
 impl RunResult {
@@ -350,6 +353,7 @@ impl Run {
             snapshots: result.snapshots,
             labels: (!result.judged.frames.is_empty()).then_some(result.judged),
             found: result.found,
+            refined: result.refined,
         })
     }
 }
@@ -363,9 +367,10 @@ fn train(slam: &mut Slam, result: &mut Collected, options: &RunOptions) {
     }
     let mut progress = Progress::new("training", iterations, options.quiet);
     let mut begun = Instant::now();
-    let stopwatch = &mut result.stopwatch;
+    let (stopwatch, refined) = (&mut result.stopwatch, &mut result.refined);
     let outcome = slam.refine_map(&mut |step| {
         stopwatch.record("refine", begun.elapsed());
+        refined.push(*step);
         begun = Instant::now();
         progress.step(&format!("loss {:.4} at 1/{}", step.loss, 1 << step.level));
     });
@@ -384,6 +389,7 @@ struct Collected {
     snapshots: Vec<Snapshot>,
     judged: RunLabels,
     found: Vec<FrameLabels>,
+    refined: Vec<TrainStep>,
 }
 
 impl Collected {
@@ -396,6 +402,7 @@ impl Collected {
             snapshots: _, // of one part only
             judged,
             found,
+            refined: _, // only after the last frame
         } = self;
         to.put("frames", frames)?;
         to.put("skipped", skipped)?;

@@ -103,6 +103,28 @@ fn a_run_leaves_everything() {
     check_report(&bench.out(), "quiet_desk_40");
 }
 
+#[test]
+fn every_iteration_of_training_has_its_loss() {
+    let bench = Bench::empty();
+    run_into(long(), &bench.out(), &["--refine", "3"]).succeeds();
+    let text = fs::read_to_string(bench.out().join("losses.csv")).expect("losses");
+    let mut lines = text.lines();
+    assert_eq!(
+        lines.next(),
+        Some("when,iteration,keyframe,level,gaussians,loss"),
+        "header"
+    );
+    let rows: Vec<Vec<&str>> = lines.map(|line| line.split(',').collect()).collect();
+    let of = |when: &str| rows.iter().filter(move |row| row[0] == when);
+    assert!(of("job").count() > 1, "a job per keyframe: {text}");
+    let refined: Vec<_> = of("refine").map(|row| row[1]).collect();
+    assert_eq!(refined, ["0", "1", "2"], "{text}");
+    for row in &rows {
+        let loss: f32 = row[5].parse().expect("a number");
+        assert!(loss > 0.0 && loss.is_finite(), "{row:?}");
+    }
+}
+
 /// One page that needs nothing but itself.
 fn check_report(out: &Path, name: &str) {
     let report = fs::read_to_string(out.join("report.html")).expect("a report");
