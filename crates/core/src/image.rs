@@ -175,8 +175,9 @@ impl<T> std::ops::IndexMut<(usize, usize)> for Image<T> {
 }
 
 impl RgbImage {
-    /// Luma of BT.601 in 14-bit integers, as OpenCV's `COLOR_RGB2GRAY`:
-    /// (4899 R + 9617 G + 1868 B + 8192) >> 14.
+    /// Luma of BT.601 in 14-bit integers, as `COLOR_RGB2GRAY` was up to OpenCV 3:
+    /// (4899 R + 9617 G + 1868 B + 8192) >> 14. Later ones have 15 bits and differ by one level in one
+    /// pixel of a thousand.
     #[must_use]
     pub fn to_gray(&self) -> GrayImage {
         self.map(|&[r, g, b]| {

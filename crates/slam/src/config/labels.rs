@@ -84,6 +84,9 @@ impl Default for LabelConfig {
     }
 }
 
+/// χ² with two degrees of freedom that half of what is static stays below: 2 ln 2 (decision 005).
+const NEARER_HALF_CHI2: f64 = 1.386_294_361_119_890_6;
+
 /// The flow check of suspects (paper sec. III-B).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -99,7 +102,7 @@ pub struct FlowCheckConfig {
     pub covariance_floor_px2: f64,
     /// Static points a model needs.
     pub min_support: usize,
-    /// χ² with two degrees of freedom.
+    /// χ² with two degrees of freedom up to which a suspect counts as static; 5.991 holds 95 % of them.
     pub chi2: f64,
 }
 
@@ -135,7 +138,7 @@ impl Default for FlowCheckConfig {
             estimator: FlowEstimatorKind::Trimmed,
             covariance_floor_px2: 0.04,
             min_support: 10,
-            chi2: garad_features::flow::CHI2_2DOF_95,
+            chi2: NEARER_HALF_CHI2,
         }
     }
 }
