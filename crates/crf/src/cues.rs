@@ -149,4 +149,19 @@ mod tests {
         bad.previous = Some(1.0 + 1e-9);
         assert_eq!(name(bad), "previous", "above 1");
     }
+
+    #[test]
+    fn depth_noise_grows_with_the_square_above_its_floor() {
+        let noise = DepthNoise {
+            per_m: 0.002,
+            floor_m: 0.001,
+        };
+        // 0.002 z²: 18 mm at 3 m, 2 mm at 1 m; 0.5 mm at 0.5 m, which the floor lifts to 1 mm.
+        for (depth_m, sigma_m) in [(3.0, 0.018), (1.0, 0.002), (0.5, 0.001)] {
+            let got = noise.sigma_m(depth_m);
+            assert!((got - sigma_m).abs() < 1e-15, "{got} at {depth_m} m");
+        }
+        let sigmas = noise.in_sigmas(-0.045, 3.0);
+        assert!((sigmas - 2.5).abs() < 1e-12, "{sigmas}");
+    }
 }

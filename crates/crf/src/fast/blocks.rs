@@ -232,3 +232,48 @@ fn accumulate<const BOTH: bool>(
     }
     rows
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::PositionTerms;
+    use crate::kernel;
+    use nalgebra::Vector3;
+
+    #[test]
+    fn both_sides_of_a_pair_know_what_was_left_out() {
+        // Sixteen nodes here, a few millimetres apart, and sixteen a few widths away: a group each.
+        let config = KernelConfig {
+            terms: PositionTerms::Space,
+            ..KernelConfig::default()
+        };
+        let nodes: Vec<Node> = (0..2 * GROUP)
+            .map(|i| Node {
+                p_world: Vector3::new(
+                    1e-3 * (i % GROUP) as f64 + if i < GROUP { 0.0 } else { 6.0 * config.sigma_m },
+                    0.0,
+                    0.0,
+                ),
+                ..Node::default()
+            })
+            .collect();
+        let all_of = |tail: f64| PositionSums::new(&nodes, &config, false, tail, Par::Seq);
+        assert!(
+            all_of(1e-300).left_out().iter().all(|lost| *lost <= 0.0),
+            "nothing is left out"
+        );
+        let fast = all_of(1e-3);
+        for (i, lost) in fast.left_out().iter().enumerate() {
+            let other = if i < GROUP {
+                GROUP..2 * GROUP
+            } else {
+                0..GROUP
+            };
+            let truth: f64 = other
+                .map(|j| kernel::position(&nodes[i], &nodes[j], &config))
+                .sum();
+            assert!(truth > 0.0, "far, not infinitely far");
+            assert!(*lost >= truth, "node {i}: {lost} of {truth}");
+        }
+    }
+}
