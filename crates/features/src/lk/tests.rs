@@ -166,6 +166,36 @@ macro_rules! tracking_laws {
 tracking_laws!(reference_laws, Reference);
 tracking_laws!(fast_laws, Fast);
 
+/// The number of OpenCV's documentation: the smaller eigenvalue of the sums of ∇I ∇Iᵀ over the window,
+/// divided by its number of pixels. Scharr's derivatives are 32 times the slope of a byte, and a
+/// byte counts 2⁻¹⁰.
+#[test]
+fn spec_min_eigenvalue() {
+    let image = noise(61, 61, 5);
+    let (dx, dy) = reference::scharr(&image);
+    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+    for y in 20..=40 {
+        for x in 20..=40 {
+            let (gx, gy) = (f64::from(dx[(x, y)]), f64::from(dy[(x, y)]));
+            xx += gx * gx;
+            xy += gx * gy;
+            yy += gy * gy;
+        }
+    }
+    let smaller = nalgebra::Matrix2::new(xx, xy, xy, yy)
+        .symmetric_eigenvalues()
+        .min();
+    let expected = smaller / (1024.0 * 1024.0) / (21.0 * 21.0);
+    let level = LkPyramid::new(&image, 0).expect("not empty");
+    let config = LkConfig::default();
+    let found = track(&level, &level, &[[30.0; 2]], None, &config, Par::Seq).expect("sizes agree");
+    let got = f64::from(found[0].min_eigenvalue);
+    assert!(
+        (got - expected).abs() < 1e-5 * expected,
+        "{got}, expected {expected}"
+    );
+}
+
 #[test]
 fn extreme_pictures_do_not_overflow() {
     // A checkerboard of black and white squares against its negative: the largest sums there are.
