@@ -121,8 +121,8 @@ def cargo_test(root, target, crate, which):
     return "broken", ""
 
 
-def try_all(root, target, crate):
-    for which in (["--lib"], ["--test", INTEGRATION.get(crate, "*")]):
+def try_all(root, target, crate, unit):
+    for which in (["--lib"],) if unit else (["--lib"], ["--test", INTEGRATION.get(crate, "*")]):
         verdict, by = cargo_test(root, target, crate, which)
         if verdict != "missed":
             return verdict, by
@@ -133,6 +133,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("only", nargs="*", help="crates, files or words of the description")
     parser.add_argument("--check", action="store_true", help="only look for the texts")
+    parser.add_argument("--unit", action="store_true", help="unit tests alone")
     parser.add_argument("--work", action="store_true", help="the working tree, not HEAD")
     parser.add_argument("--folder", type=Path, help="where the copy lies and is built; kept")
     parser.add_argument("--target", type=Path, help="build folder, if not inside --folder")
@@ -153,7 +154,7 @@ def main():
             crate, file = slip["crate"], root / slip["file"]
             if crate not in sound:
                 at = time.monotonic()
-                verdict, by = try_all(root, target, crate)
+                verdict, by = try_all(root, target, crate, args.unit)
                 if verdict != "missed":
                     sys.exit(f"{crate}: the tests fail without any slip: {by}")
                 sound.add(crate)
@@ -162,7 +163,7 @@ def main():
             before = file.read_text()
             file.write_text(before.replace(slip["find"], slip["replace"]))
             try:
-                verdict, by = try_all(root, target, crate)
+                verdict, by = try_all(root, target, crate, args.unit)
             finally:
                 file.write_text(before)
             seconds = time.monotonic() - at

@@ -308,6 +308,14 @@ mod tests {
     }
 
     #[test]
+    fn unprojects_by_hand() {
+        let camera = Camera::pinhole((40, 30), [500.0, 250.0, 10.0, 20.0]).expect("valid");
+        let p_cam = camera.unproject(&Vector2::new(20.0, 25.0), 2.0);
+        let expected = Vector3::new(0.04, 0.04, 2.0); // 10 / 500 · 2, 5 / 250 · 2
+        assert!((p_cam - expected).norm() < 1e-16, "{p_cam}");
+    }
+
+    #[test]
     fn first_pixel_centre_is_zero() {
         let camera = Camera::pinhole((4, 2), [2.0, 2.0, 1.5, 0.5]).expect("valid");
         // The optical axis meets the picture half-way between the middle pixels.
