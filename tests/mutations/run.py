@@ -34,7 +34,7 @@ ROOT = Path(__file__).resolve().parents[2]
 ORDER = ["slam", "eval", "raster_cpu", "crf", "features", "optim", "core"]
 # Integration tests that run after the unit tests. Those of slam that take whole sequences through the system
 # would take most of the time, and name no stage.
-INTEGRATION = {"slam": "labels"}
+INTEGRATION = {"slam": ["labels", "stages"]}
 TIME_LIMIT_S = 600
 MOST_MISSED = 0.05
 
@@ -122,7 +122,8 @@ def cargo_test(root, target, crate, which):
 
 
 def try_all(root, target, crate, unit):
-    for which in (["--lib"],) if unit else (["--lib"], ["--test", INTEGRATION.get(crate, "*")]):
+    integration = [part for name in INTEGRATION.get(crate, ["*"]) for part in ("--test", name)]
+    for which in [["--lib"]] if unit else [["--lib"], integration]:
         verdict, by = cargo_test(root, target, crate, which)
         if verdict != "missed":
             return verdict, by

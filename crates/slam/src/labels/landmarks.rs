@@ -118,6 +118,9 @@ impl Slam {
 
 #[cfg(test)]
 mod tests {
+    use garad_core::Se3;
+    use nalgebra::Vector6;
+
     use super::*;
     use crate::config::Config;
     use crate::labels::frame::tests::{frame, is_in, keep, places, slam, wall, wall_behind};
@@ -261,5 +264,14 @@ mod tests {
         keyframe.camera_from_world.translation.x = -1.0;
         let off = cues(&slam, of_wall[0]).epipolar_px.expect("a baseline");
         assert!((off - 2.0).abs() < 1e-9, "two rows off: {off}");
+        // Aside, ahead and turned, and the keypoint where the landmark is: its line passes through it.
+        let p_world = slam.map.landmark(of_wall[0]).expect("alive").p_world;
+        let pose = Se3::exp(&Vector6::new(-0.5, 0.1, -0.5, 0.02, -0.1, 0.05));
+        let uv = slam.camera.project(&(pose * p_world)).expect("in front");
+        let keyframe = slam.map.keyframe_mut(third);
+        keyframe.camera_from_world = pose;
+        keyframe.uv_px[i] = uv;
+        let on = cues(&slam, of_wall[0]).epipolar_px.expect("a baseline");
+        assert!(on < 1e-9, "{on} px from its line");
     }
 }

@@ -204,6 +204,19 @@ mod tests {
     }
 
     #[test]
+    fn a_point_belongs_to_the_cell_of_the_nearest_pixel() {
+        // At z = 60 m, x and y are pixels from (31.5, 23.5); pixels 0 to 3 are the first cell.
+        let cell = |u: f64, v: f64| cell_of(&Vector3::new(u - 31.5, v - 23.5, 60.0), &camera());
+        assert_eq!(cell(3.4, 0.0), Some((0, 0)), "pixel 3");
+        assert_eq!(cell(3.6, 0.0), Some((1, 0)), "pixel 4");
+        assert_eq!(cell(0.0, 7.4), Some((0, 1)), "pixel 7");
+        assert_eq!(cell(0.0, 7.6), Some((0, 2)), "pixel 8");
+        assert_eq!(cell(-0.4, 47.4), Some((0, 11)), "the outermost pixels");
+        assert_eq!(cell(-0.6, 0.0), None, "left of them");
+        assert_eq!(cell(0.0, 47.6), None, "below them");
+    }
+
+    #[test]
     fn through_on_behind_beside() {
         let mut witness = Witness::new(&DepthImage::new(64, 48, 3.0), 8.0);
         assert_eq!(
