@@ -16,6 +16,7 @@ pub mod real;
 pub mod rng;
 pub mod se3;
 pub mod sh;
+mod sh_rotation;
 pub mod so3;
 pub mod trajectory;
 pub mod undistort;

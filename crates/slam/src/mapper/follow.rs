@@ -1,15 +1,15 @@
 //! Gaussians follow the keyframe they were born in when a loop is closed.
 
+use garad_core::sh::ShRotation;
 use garad_core::{GaussianMap, Se3, So3};
 use nalgebra::Vector3;
 
 /// Moves every Gaussian as its keyframe was moved: for C = `moved[born]`, after_from_before in the
 /// world,
 ///
-/// μ ← C μ,   q ← C.R q
+/// μ ← C μ,   q ← C.R q,   sh ← M(C.R) sh (E21)
 ///
-/// Shapes, opacities and colours stay. Spherical harmonics of degree 1 and up are not turned:
-/// corrections are a few degrees at most, and training makes up for them.
+/// Shapes and opacities stay, and each Gaussian shows the turned camera the colours it showed before.
 ///
 /// # Numerics
 /// f64, rounded to f32 at the end. Gaussians of keyframes that are not in the list stay.
@@ -17,10 +17,15 @@ pub fn follow(map: &mut GaussianMap, moved: &[Se3]) {
     if moved.is_empty() {
         return;
     }
+    let n = map.coefficients();
+    let turns: Vec<_> = (moved.iter().map(|m| ShRotation::new(&m.rotation))).collect();
     for i in 0..map.len() {
         let Some(motion) = moved.get(map.born[i].index()) else {
             continue;
         };
+        if n > 1 {
+            turns[map.born[i].index()].turn(&mut map.sh[i * n..(i + 1) * n]);
+        }
         let mean = *motion * Vector3::from(map.means[i].map(f64::from));
         map.means[i] = to_f32([mean.x, mean.y, mean.z]);
         let q = map.quaternions[i].map(f64::from);
@@ -87,5 +92,43 @@ mod tests {
         let moved = map.clone();
         follow(&mut map, &[]);
         assert_eq!(map, moved, "no loop, nothing moves");
+    }
+
+    /// A Gaussian and the camera before it, turned together: the same picture.
+    #[test]
+    fn a_turned_gaussian_looks_the_same_to_a_turned_camera() {
+        use garad_core::{Camera, Par};
+        use garad_raster::{RenderOptions, render};
+        use nalgebra::Vector6;
+
+        let mut map = GaussianMap::new(0);
+        map.push(&gaussian(0));
+        map.raise_sh_degree(3);
+        for (k, sh) in map.sh.iter_mut().enumerate().skip(1) {
+            *sh = [0.05, -0.04, 0.03].map(|c| if k % 3 == 0 { -c } else { c });
+        }
+        let camera = Camera::pinhole((32, 24), [30.0, 30.0, 15.5, 11.5]).expect("valid");
+        let camera_from_world = Se3::new(So3::identity(), Vector3::new(-1.1, -1.9, -2.0));
+        let draw = |map: &GaussianMap, pose: &Se3| {
+            let options = RenderOptions::default();
+            let drawn = render(&map.cast::<f64>(), &camera, pose, &options, Par::Seq);
+            drawn.expect("drawn").color
+        };
+        let before = draw(&map, &camera_from_world);
+        let motion = Se3::exp(&Vector6::new(0.4, -0.2, 0.3, 0.5, -0.8, 1.1));
+        let unturned = map.sh.clone();
+        follow(&mut map, &[motion]);
+        let pose = camera_from_world * motion.inverse();
+        let apart = |map: &GaussianMap| {
+            let after = draw(map, &pose);
+            let pairs = before.data().as_flattened().iter();
+            let all = pairs.zip(after.data().as_flattened());
+            all.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+        };
+        let off = apart(&map);
+        assert!(off < 1e-5, "f32 parameters: {off}");
+        map.sh = unturned;
+        let off = apart(&map);
+        assert!(off > 1e-2, "colours left behind would show: {off}");
     }
 }
