@@ -105,7 +105,7 @@ pub struct PlaceIndex {
     /// Per table, the bits that are read.
     tables: Vec<Vec<usize>>,
     bits: usize,
-    /// The slot of each keyframe; slots are handed out in order and not twice.
+    /// The slot of each keyframe, handed out in order; those of removed ones come free at the next renewal.
     slot_of: BTreeMap<KeyframeId, u32>,
     /// Per slot, 1 / Σ n_i ln(1 + N / N_i); 0 once its keyframe is gone.
     scale: Vec<f64>,
@@ -171,7 +171,8 @@ impl PlaceIndex {
     /// Takes a keyframe in; one of the same id is replaced.
     ///
     /// Rarities are counted anew at the 1st, 2nd, 4th, 8th, ... keyframe, so that scores of one query
-    /// always rest on the same ones.
+    /// always rest on the same ones. Where keyframes are removed, too, it is done whenever there have been as
+    /// many new ones as were left the last time: the index stays in proportion to what is in it.
     pub fn add(&mut self, id: KeyframeId, descriptors: &[Descriptor]) {
         self.remove(id);
         #[allow(
@@ -288,26 +289,39 @@ impl PlaceIndex {
         if sum > 0.0 { 1.0 / sum } else { 0.0 }
     }
 
-    /// Drops what was removed and counts rarities anew.
+    /// Drops what was removed, closes the gaps it left among the slots, and counts rarities anew.
     fn renew(&mut self) {
-        let mut live = vec![false; self.scale.len()];
-        for &slot in self.slot_of.values() {
-            live[slot as usize] = true;
+        let mut live: Vec<(&mut u32, usize)> = (self.slot_of.values_mut())
+            .map(|slot| {
+                let old = *slot as usize;
+                (slot, old)
+            })
+            .collect();
+        live.sort_unstable_by_key(|(_, old)| *old);
+        let mut slots = vec![None; self.scale.len()];
+        for ((slot, old), new) in live.into_iter().zip(0u32..) {
+            *slot = new;
+            slots[old] = Some(new);
         }
-        let n = self.slot_of.len() as f64;
-        let mut sums = vec![0.0; self.scale.len()];
+        let n = self.slot_of.len();
+        let mut sums = vec![0.0; n];
         for (list, rarity) in self.postings.iter_mut().zip(&mut self.rarity) {
-            list.retain(|posting| live[posting.slot as usize]);
+            list.retain_mut(|posting| match slots[posting.slot as usize] {
+                Some(slot) => {
+                    posting.slot = slot; // slots keep their order, and lists stay sorted
+                    true
+                }
+                None => false,
+            });
             // A word that nobody has is as rare as one that a single keyframe has.
-            *rarity = libm::log1p(n / list.len().max(1) as f64);
+            *rarity = libm::log1p(n as f64 / list.len().max(1) as f64);
             for posting in list {
                 sums[posting.slot as usize] += f64::from(posting.count) * *rarity;
             }
         }
-        for (scale, sum) in self.scale.iter_mut().zip(sums) {
-            *scale = if sum > 0.0 { 1.0 / sum } else { 0.0 };
-        }
-        self.renewed = self.scale.len();
+        let scales = sums.into_iter();
+        self.scale = (scales.map(|sum| if sum > 0.0 { 1.0 / sum } else { 0.0 })).collect();
+        self.renewed = n;
     }
 }
 

@@ -272,3 +272,40 @@ fn settings_that_cannot_be_are_named() {
     assert!(error_of(4, 0).contains("bits is 0"), "no bits");
     assert!(error_of(4, 17).contains("bits is 17"), "too many lists");
 }
+
+/// A run that goes on for ever, with twenty keyframes at any time: the index does not grow, and answers
+/// as one that never held the others.
+#[test]
+fn an_index_that_forgets_stays_small() {
+    let mut world = World::new(7);
+    let places: Vec<_> = (0..400).map(|_| world.place(60)).collect();
+    let mut index = PlaceIndex::new(PlaceConfig::default(), 1).unwrap();
+    for (i, place) in places.iter().enumerate() {
+        index.add(id(i), place);
+        if i >= 20 {
+            assert!(index.remove(id(i - 20)), "still there");
+        }
+    }
+    assert_eq!(index.len(), 20, "the last ones");
+    assert!(index.scale.len() <= 2 * 21, "slots: {}", index.scale.len());
+    let postings: usize = index.postings.iter().map(Vec::len).sum();
+    assert!(postings <= 2 * 21 * 4 * 60, "postings: {postings}");
+    assert!(
+        index
+            .postings
+            .iter()
+            .all(|l| l.is_sorted_by_key(|p| p.slot)),
+        "lists stay sorted"
+    );
+    let mut fresh = PlaceIndex::new(PlaceConfig::default(), 1).unwrap();
+    for (i, place) in places.iter().enumerate().skip(380) {
+        fresh.add(id(i), place);
+    }
+    // Counted at the same moment, rarities and so scores are equal to the bit.
+    index.renew();
+    fresh.renew();
+    let seen = world.again(&places[390]);
+    let found = index.query(&seen, 20, |_| false);
+    assert_eq!(found[0].id, id(390), "the place");
+    assert_eq!(found, fresh.query(&seen, 20, |_| false), "and all the rest");
+}
