@@ -46,6 +46,27 @@ pub struct Frame {
 }
 
 impl Frame {
+    /// Keeps what says when and where the picture was taken, and frees the rest.
+    pub(crate) fn give_up_features(&mut self) {
+        *self = Self {
+            id: self.id,
+            t_s: self.t_s,
+            camera_from_world: self.camera_from_world,
+            keypoints: Vec::new(),
+            descriptors: Vec::new(),
+            px: Vec::new(),
+            sigma_px: Vec::new(),
+            uv_px: Vec::new(),
+            depth_m: Vec::new(),
+            one_surface: Vec::new(),
+            label: Vec::new(),
+            in_use: Vec::new(),
+            landmark: Vec::new(),
+            surface: None,
+            grid: Grid::default(),
+        };
+    }
+
     /// Brings detected features to ideal pixels, reads their depth and label.
     ///
     /// Keypoints without an inverse under the distortion model, or outside the ideal picture, stay
@@ -299,7 +320,7 @@ fn nearest_pixel(px: &Vector2<f64>, (width, height): (usize, usize)) -> Option<(
 }
 
 /// Keypoints by cell, so that a search looks at its neighbourhood only.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 struct Grid {
     columns: usize,
     rows: usize,

@@ -122,6 +122,9 @@ impl Slam {
         }
         self.places
             .add(id, &still_descriptors(self.map.keyframe(id)));
+        if self.config.culling.enabled {
+            self.cull_keyframes(id);
+        }
         if self.config.seed.enabled {
             let train = &self.config.train;
             let job = MappingJob {

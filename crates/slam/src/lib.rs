@@ -9,12 +9,14 @@
 //! [`frame`] (features, ideal pixels, depth at keypoints) → [`matching`] (landmarks found again)
 //! → [`tracker`] (prediction, pose, local map, state) → [`refine`] (matches sharpened) →
 //! [`keyframes`] (when to keep a frame, what it adds, what is thrown out) → [`local_ba`] (poses and
-//! landmarks together) → [`loop_closing`] (a place seen again) → [`schedule`] (mapping beside tracking) → [`mapper`] (Gaussians where the
+//! landmarks together) → [`loop_closing`] (a place seen again) → [`culling`] (keyframes that say nothing
+//! new) → [`schedule`] (mapping beside tracking) → [`mapper`] (Gaussians where the
 //! picture is not yet explained; the map learns the pictures). [`recover`] finds a lost camera
 //! again. [`session`] puts a run aside and takes it up again.
 
 pub(crate) mod agreement;
 pub mod config;
+pub mod culling;
 pub mod frame;
 pub mod keyframes;
 pub mod labels;
@@ -35,6 +37,7 @@ pub mod trace;
 pub mod tracker;
 
 pub use config::{Config, ConfigError};
+pub use culling::CullingConfig;
 pub use loop_closing::{LoopClosure, LoopConfig};
 pub use observer::{Observer, Silent, Stage};
 pub use session::SessionError;

@@ -110,6 +110,7 @@ impl Slam {
         for (keyframe, pose) in free.iter().zip(&poses) {
             self.map.keyframe_mut(*keyframe).camera_from_world = *pose;
         }
+        self.map.follow_anchors();
         for (id, p_world) in landmarks.iter().zip(&points) {
             if let Some(landmark) = self.map.landmark_mut(*id) {
                 landmark.p_world = *p_world;

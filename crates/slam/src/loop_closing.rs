@@ -13,7 +13,7 @@
 //! | `join` | which landmarks are the same? | links of `locate`, search around them |
 //! | bundle | what fits all observations best? | every keyframe and landmark |
 //!
-//! Landmarks follow the keyframe they were born in, and so do Gaussians, at the mapper's next job.
+//! Culled keyframes follow those that hold them. Landmarks follow the keyframe they were born in, and so do Gaussians, at the mapper's next job.
 //!
 //! Source: the order of steps is ORB-SLAM's (Mur-Artal, Montiel, Tardós 2015); with depth the scale
 //! is known, so motions are rigid.
@@ -97,6 +97,11 @@ impl LoopCloser {
         &self.closed
     }
 
+    pub(crate) fn remember(&mut self, closure: LoopClosure) {
+        self.closed.push(closure);
+        self.streaks.clear();
+    }
+
     /// Continues the streaks with the places that a keyframe looks like, each a set of neighbours.
     /// Returns the length of each: 1 for a place that shares no keyframe with one of before.
     fn continue_streaks(&mut self, places: Vec<BTreeSet<KeyframeId>>) -> Vec<usize> {
@@ -151,11 +156,8 @@ impl Slam {
                 drift_m = closure.drift_m,
                 "loop closed"
             );
-            self.loops.closed.push(closure);
-            self.loops.streaks.clear();
-            let after = self.keyframe_poses();
-            let pairs = after.iter().zip(&before);
-            return pairs.map(|(a, b)| a.inverse() * *b).collect();
+            self.loops.remember(closure);
+            return moved(&self.keyframe_poses(), &before);
         }
         Vec::new()
     }
@@ -222,19 +224,21 @@ impl Slam {
     /// `false`, and nothing has moved, if the graph has no solution.
     fn pull_together(&mut self, closure: &LoopClosure, located: Se3) -> bool {
         let mut graph = PoseGraph::default();
-        for (k, pose) in self.keyframe_poses().into_iter().enumerate() {
-            graph.add_pose(pose, k == 0);
+        for (k, pose) in (0u32..).map(KeyframeId).zip(self.keyframe_poses()) {
+            // What was culled is in no edge, and follows afterwards.
+            graph.add_pose(pose, k.0 == 0 || self.map.is_culled(k));
         }
         let poses = graph.poses.clone();
         let relative = |a: Se3, b: KeyframeId| a * poses[b.index()].inverse();
-        for b in (0u32..).map(KeyframeId).take(poses.len()) {
-            let next = KeyframeId(b.0 + 1);
+        let kept: Vec<_> = self.map.kept_ids().collect();
+        for (i, &b) in kept.iter().enumerate() {
+            let next = kept.get(i + 1).copied();
             let shared = self.map.covisible(b);
             let mut pairs: Vec<_> = shared.into_iter().filter(|(a, _)| *a > b).collect();
-            if next.index() < poses.len() && !pairs.iter().any(|(a, _)| *a == next) {
+            if let Some(next) = next.filter(|next| pairs.iter().all(|(a, _)| a != next)) {
                 pairs.push((next, 1));
             }
-            pairs.retain(|(a, n)| *a == next || *n >= EDGE_LANDMARKS);
+            pairs.retain(|(a, n)| Some(*a) == next || *n >= EDGE_LANDMARKS);
             let as_now =
                 |(a, n): &(KeyframeId, usize)| edge(*a, b, relative(poses[a.index()], b), *n);
             graph.edges.extend(pairs.iter().map(as_now));
@@ -253,15 +257,11 @@ impl Slam {
             Ok(_) if graph.poses.iter().all(Se3::is_finite) => {}
             _ => return false,
         }
-        let after_from_before: Vec<Se3> = graph
-            .poses
-            .iter()
-            .zip(&poses)
-            .map(|(after, before)| after.inverse() * *before)
-            .collect();
-        for (k, pose) in (0u32..).map(KeyframeId).zip(&graph.poses) {
-            self.map.keyframe_mut(k).camera_from_world = *pose;
+        for &k in &kept {
+            self.map.keyframe_mut(k).camera_from_world = graph.poses[k.index()];
         }
+        self.map.follow_anchors();
+        let after_from_before = moved(&self.keyframe_poses(), &poses);
         for id in self.landmark_ids() {
             if let Some(landmark) = self.map.landmark_mut(id) {
                 landmark.p_world = after_from_before[landmark.born.index()] * landmark.p_world;
@@ -301,11 +301,10 @@ impl Slam {
     /// Bundle adjustment of all keyframes but the first and all landmarks at rest.
     fn adjust_everything(&mut self) {
         let iterations = self.config.loops.bundle_iterations;
-        let count = u32::try_from(self.map.keyframes().len()).unwrap_or(u32::MAX);
-        if iterations == 0 || count < 2 {
+        if iterations == 0 {
             return;
         }
-        let free: Vec<_> = (1..count).map(KeyframeId).collect();
+        let free: Vec<_> = self.map.kept_ids().filter(|k| k.0 != 0).collect();
         let mut landmarks = self.landmark_ids();
         landmarks.retain(|l| self.map.static_landmark(*l).is_some());
         self.adjust(&free, &[KeyframeId(0)], &landmarks, iterations);
@@ -320,6 +319,12 @@ impl Slam {
             self.map.refresh(id, &self.scales);
         }
     }
+}
+
+/// after_from_before, in the world, of every keyframe.
+fn moved(after: &[Se3], before: &[Se3]) -> Vec<Se3> {
+    let pairs = after.iter().zip(before);
+    pairs.map(|(a, b)| a.inverse() * *b).collect()
 }
 
 /// Keyframes that share so many landmarks with one.

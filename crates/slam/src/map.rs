@@ -1,11 +1,12 @@
 //! Landmarks, keyframes and who sees whom.
 //!
 //! Both live in vectors indexed by their ids; a dropped landmark leaves a hole and its id is never
-//! used again, so every loop over the map runs in the order of birth.
+//! used again, so every loop over the map runs in the order of birth. A culled keyframe stays as an
+//! empty one, whose pose follows another's ([`culling`](crate::culling)).
 
 use std::collections::BTreeMap;
 
-use garad_core::{Camera, KeyframeId, Label, LandmarkId};
+use garad_core::{Camera, KeyframeId, Label, LandmarkId, Se3};
 use garad_crf::LabelWindow;
 use garad_features::Descriptor;
 use nalgebra::{Vector2, Vector3};
@@ -41,8 +42,18 @@ pub struct Landmark {
 /// All landmarks and keyframes of a run.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Map {
-    landmarks: Vec<Option<Landmark>>,
+    /// In boxes, so that the hole of a dropped one is a word.
+    landmarks: Vec<Option<Box<Landmark>>>,
     keyframes: Vec<Frame>,
+    /// Keyframes that were given up, and what holds their poses.
+    culled: BTreeMap<KeyframeId, Anchor>,
+}
+
+/// Where a culled keyframe is: as seen from one that is not.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+struct Anchor {
+    keyframe: KeyframeId,
+    culled_from_anchor: Se3,
 }
 
 /// A view direction within 60° of the mean counts as the same side of a point.
@@ -65,12 +76,12 @@ impl Map {
     /// The landmark, unless it was dropped.
     #[must_use]
     pub fn landmark(&self, id: LandmarkId) -> Option<&Landmark> {
-        self.landmarks.get(id.index())?.as_ref()
+        self.landmarks.get(id.index())?.as_deref()
     }
 
     /// The landmark, unless it was dropped.
     pub fn landmark_mut(&mut self, id: LandmarkId) -> Option<&mut Landmark> {
-        self.landmarks.get_mut(id.index())?.as_mut()
+        self.landmarks.get_mut(id.index())?.as_deref_mut()
     }
 
     /// The landmark, unless it was dropped or moves.
@@ -84,10 +95,10 @@ impl Map {
         self.landmarks
             .iter()
             .zip(0u32..)
-            .filter_map(|(l, i)| Some((LandmarkId(i), l.as_ref()?)))
+            .filter_map(|(l, i)| Some((LandmarkId(i), l.as_deref()?)))
     }
 
-    /// All keyframes, oldest first.
+    /// All keyframes, oldest first; those that were culled have a pose and nothing else.
     #[must_use]
     pub fn keyframes(&self) -> &[Frame] {
         &self.keyframes
@@ -108,6 +119,18 @@ impl Map {
     /// If the id was not handed out by this map.
     pub fn keyframe_mut(&mut self, id: KeyframeId) -> &mut Frame {
         &mut self.keyframes[id.index()]
+    }
+
+    /// Was it given up? Its pose stays, its features are gone.
+    #[must_use]
+    pub fn is_culled(&self, id: KeyframeId) -> bool {
+        self.culled.contains_key(&id)
+    }
+
+    /// Keyframes that were not culled, oldest first.
+    pub fn kept_ids(&self) -> impl Iterator<Item = KeyframeId> {
+        let ids = (0u32..).map(KeyframeId).take(self.keyframes.len());
+        ids.filter(|id| !self.is_culled(*id))
     }
 
     /// The youngest keyframe.
@@ -138,9 +161,10 @@ impl Map {
         scales: &[f64],
     ) -> LandmarkId {
         let id = LandmarkId(u32::try_from(self.landmarks.len()).unwrap_or(u32::MAX));
-        self.landmarks.push(Some(Landmark {
+        let descriptor = self.keyframe(keyframe).descriptors[i];
+        self.landmarks.push(Some(Box::new(Landmark {
             p_world,
-            descriptor: self.keyframe(keyframe).descriptors[i],
+            descriptor,
             view_direction: Vector3::zeros(),
             distance_m: (0.0, 0.0),
             observations: vec![(keyframe, i)],
@@ -149,7 +173,7 @@ impl Map {
             window: LabelWindow::default(),
             visible: 1,
             found: 1,
-        }));
+        })));
         self.keyframe_mut(keyframe).landmark[i] = Some(id);
         self.refresh(id, scales);
         id
@@ -182,6 +206,46 @@ impl Map {
         self.keyframe_mut(keyframe).landmark[i] = None;
         if orphan {
             self.drop_landmark(id);
+        }
+    }
+
+    /// Gives a keyframe up: its observations are taken back, and its pose follows the keyframe that
+    /// shares most landmarks with it. `false`, and nothing happens, if there is none.
+    pub(crate) fn cull(&mut self, id: KeyframeId, scales: &[f64]) -> bool {
+        let Some(anchor) = by_count(&self.covisible(id)).first().copied() else {
+            return false;
+        };
+        let pose = self.keyframe(id).camera_from_world;
+        let id_from_anchor = pose * self.keyframe(anchor).camera_from_world.inverse();
+        for held in self.culled.values_mut().filter(|a| a.keyframe == id) {
+            held.keyframe = anchor;
+            held.culled_from_anchor = held.culled_from_anchor * id_from_anchor;
+        }
+        let anchor = Anchor {
+            keyframe: anchor,
+            culled_from_anchor: id_from_anchor,
+        };
+        self.culled.insert(id, anchor);
+        let seen: Vec<_> = self
+            .keyframe(id)
+            .landmark
+            .iter()
+            .flatten()
+            .copied()
+            .collect();
+        for landmark in seen {
+            self.drop_observation(landmark, id);
+            self.refresh(landmark, scales);
+        }
+        self.keyframe_mut(id).give_up_features();
+        true
+    }
+
+    /// Culled keyframes follow those that hold them, after these have been adjusted.
+    pub(crate) fn follow_anchors(&mut self) {
+        for (id, anchor) in &self.culled {
+            let held_by = self.keyframes[anchor.keyframe.index()].camera_from_world;
+            self.keyframes[id.index()].camera_from_world = anchor.culled_from_anchor * held_by;
         }
     }
 

@@ -105,6 +105,8 @@ pub struct Mapper {
     gaussians: GaussianMap,
     trainer: Trainer,
     poses: Vec<Se3>,
+    /// Of the camera's path, from `poses`.
+    extent_m: f64,
     par: Par,
 }
 
@@ -122,6 +124,7 @@ impl Mapper {
             gaussians: GaussianMap::new(0),
             trainer: Trainer::new(camera, seed).map_err(TrainError::from)?,
             poses: Vec::new(),
+            extent_m: extent_m(&[]),
             par,
         })
     }
@@ -148,6 +151,7 @@ impl Mapper {
             gaussians,
             trainer,
             poses,
+            extent_m: _, // from the poses
             par: _,
         } = self;
         to.put("gaussians", gaussians)?;
@@ -166,10 +170,12 @@ impl Mapper {
             gaussians,
             trainer,
             poses,
+            extent_m: extent,
             par: _,
         } = self;
         *gaussians = from.take("gaussians")?;
         *poses = from.take("poses")?;
+        *extent = extent_m(poses);
         trainer.load(from)
     }
 
@@ -179,7 +185,8 @@ impl Mapper {
         self.trainer
             .tape
             .put("map_before", |page| page.gaussians(&self.gaussians));
-        self.poses = job.poses.clone();
+        self.poses.clone_from(&job.poses);
+        self.extent_m = extent_m(&self.poses);
         follow::follow(&mut self.gaussians, &job.moved);
         observer.begin(Stage::Relabel);
         let relabelled = self.relabel(&job);
@@ -208,6 +215,9 @@ impl Mapper {
             let mask = job.mask.as_ref();
             let view = TrainingView::new(job.keyframe, job.rgb, depth, mask, dilate_px);
             self.trainer.add_view(view);
+            let poses = &self.poses;
+            let pose_of = |k: KeyframeId| poses.get(k.index()).copied().unwrap_or_default();
+            self.trainer.thin_views(train.max_views, pose_of);
         }
         for i in 0..job.iterations {
             // Half of the time is the newest keyframe's: it is what the map knows least about.
@@ -308,6 +318,7 @@ impl Mapper {
         poses: Vec<Se3>,
         on_step: &mut dyn FnMut(&TrainStep),
     ) -> Result<(), TrainError> {
+        self.extent_m = extent_m(&poses);
         self.poses = poses;
         for i in 0..iterations {
             match self.step(Pick::Shuffled, 2 * i < iterations)? {
@@ -322,13 +333,12 @@ impl Mapper {
     fn step(&mut self, pick: Pick, grow: bool) -> Result<Option<TrainStep>, TrainError> {
         let grow = Some(&self.config.densify).filter(|config| grow && config.enabled);
         let poses = &self.poses;
-        let extent_m = extent_m(poses);
         let pose_of = |k: KeyframeId| poses.get(k.index()).copied().unwrap_or_default();
         self.trainer.step(
             &mut self.gaussians,
             pick,
             pose_of,
-            extent_m,
+            self.extent_m,
             &self.config.train,
             grow,
             self.par,

@@ -110,6 +110,7 @@ impl Slam {
         if let Some(most) = local.first() {
             self.reference = *most;
         }
+        local.truncate(self.config.tracking.max_local_keyframes);
         for keyframe in local.clone() {
             if local.len() >= self.config.tracking.max_local_keyframes {
                 break;

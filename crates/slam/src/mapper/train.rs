@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::densify::{Densifier, densify, faded};
-use super::view::TrainingView;
+use super::view::{TrainingView, least_needed};
 use crate::config::{DensifyConfig, Optimiser, RateConfig, TrainConfig};
 use crate::session::{SectionReader, SectionWriter, SessionError};
 use crate::trace::Tape;
@@ -197,6 +197,21 @@ impl Trainer {
     /// One more picture to learn from.
     pub fn add_view(&mut self, view: TrainingView) {
         self.views.push(view);
+    }
+
+    /// Lets pictures go until there are no more than `most`.
+    pub(super) fn thin_views(&mut self, most: usize, pose_of: impl Fn(KeyframeId) -> Se3) {
+        while self.views.len() > most {
+            let poses: Vec<_> = self.views.iter().map(|v| pose_of(v.keyframe)).collect();
+            let Some(gone) = least_needed(&poses) else {
+                return;
+            };
+            self.views.remove(gone);
+            self.order.retain(|v| *v != gone);
+            for v in self.order.iter_mut().filter(|v| **v > gone) {
+                *v -= 1;
+            }
+        }
     }
 
     /// The label windows, one per Gaussian of the map.

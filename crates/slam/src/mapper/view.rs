@@ -2,7 +2,10 @@
 
 use garad_core::pyramid::halve_real;
 use garad_core::undistort::Undistortion;
-use garad_core::{Camera, DepthImage, Distortion, Image, KeyframeId, MaskImage, Par, RgbImage};
+use garad_core::{
+    Camera, DepthImage, Distortion, Image, KeyframeId, MaskImage, Par, RgbImage, Se3,
+};
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use crate::mask;
@@ -103,6 +106,39 @@ impl TrainingView {
     }
 }
 
+/// A point so far ahead stands for where a camera looks: views count as near if their cameras are, and
+/// what is in front of them.
+const AHEAD_M: f64 = 2.5;
+/// One view in so many is young, and stays.
+const YOUNG_SHARE: usize = 4;
+
+/// The view that can go: of the two nearest to each other, the older, because the room may have changed
+/// since. Taken again and again this leaves views that are evenly spread. The youngest quarter always
+/// stays. `None` if there are fewer than two.
+///
+/// `poses` are camera_from_world, the oldest first. Two views are
+/// |c_a - c_b| + |f_a - f_b| apart, c where the camera is and f a point 2.5 m ahead of it, metres.
+pub(crate) fn least_needed(poses: &[Se3]) -> Option<usize> {
+    let points: Vec<_> = (poses.iter())
+        .map(|camera_from_world| {
+            let world_from_camera = camera_from_world.inverse();
+            let ahead = world_from_camera * Vector3::new(0.0, 0.0, AHEAD_M);
+            (world_from_camera.translation, ahead)
+        })
+        .collect();
+    let old = points.len() - points.len() / YOUNG_SHARE;
+    let mut least: Option<(f64, usize)> = None;
+    for (i, a) in points.iter().enumerate().take(old) {
+        for b in &points[i + 1..] {
+            let apart_m = (a.0 - b.0).norm() + (a.1 - b.1).norm();
+            if least.is_none_or(|(d, _)| apart_m < d) {
+                least = Some((apart_m, i));
+            }
+        }
+    }
+    least.map(|(_, i)| i)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -169,5 +205,65 @@ mod tests {
             (1.0, 3.0),
             "nothing between"
         );
+    }
+
+    fn looking(x_m: f64, turn: f64) -> Se3 {
+        let rotation = garad_core::So3::exp(&Vector3::new(0.0, turn, 0.0));
+        Se3::new(rotation, Vector3::new(x_m, 0.0, 0.0)).inverse()
+    }
+
+    #[test]
+    fn of_the_two_nearest_views_the_older_goes() {
+        let at = |xs: &[f64]| -> Vec<_> { xs.iter().map(|x| looking(*x, 0.0)).collect() };
+        assert_eq!(
+            least_needed(&at(&[0.0, 1.0, 1.1, 2.0])),
+            Some(1),
+            "1 and 1.1 m"
+        );
+        assert_eq!(
+            least_needed(&at(&[0.0, 1.0, 2.0, 2.9, 1.2])),
+            Some(1),
+            "not in a row"
+        );
+        let turned = [
+            looking(0.0, 0.0),
+            looking(0.0, 1.0),
+            looking(0.2, 0.0),
+            looking(3.0, 0.0),
+        ];
+        assert_eq!(
+            least_needed(&turned),
+            Some(0),
+            "a turn is farther than a step"
+        );
+        // The youngest two of eight stay, near as they are.
+        let young = at(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 6.01]);
+        assert_eq!(least_needed(&young), Some(0), "first of the evenly spaced");
+        assert_eq!(least_needed(&at(&[1.0])), None, "alone");
+        assert_eq!(least_needed(&[]), None, "nothing");
+    }
+
+    #[test]
+    fn thinned_views_are_spread_evenly() {
+        let mut poses = Vec::new();
+        for i in 0..200 {
+            // Half of them at one place, half along three metres.
+            let x_m = if i % 2 == 0 {
+                1e-3 * f64::from(i)
+            } else {
+                0.015 * f64::from(i)
+            };
+            poses.push(looking(x_m, 0.0));
+            if poses.len() > 20 {
+                let gone = least_needed(&poses).expect("more than two");
+                poses.remove(gone);
+            }
+        }
+        let old = &poses[..15];
+        let near_start = old
+            .iter()
+            .filter(|p| p.inverse().translation.x < 0.3)
+            .count();
+        assert!(near_start <= 5, "{near_start} of 15 in the first tenth");
     }
 }

@@ -1,0 +1,85 @@
+//! A camera that stays where it is learns nothing new: keyframes come and go, and the path does not mind.
+
+use garad_core::Par;
+use garad_eval::{AteOptions, ate};
+use garad_slam::{Config, FrameInput, Silent, Slam};
+use garad_synth::{Scene, SceneConfig, SceneName};
+
+const FRAMES: usize = 240;
+
+fn run(scene: &Scene, enabled: bool, par: Par) -> Slam {
+    let mut config = Config::default();
+    config.seed.enabled = false;
+    config.labels.enabled = false;
+    config.features.count = 300;
+    config.culling.enabled = enabled;
+    let mut slam = Slam::new(scene.camera(), config, 0, par).expect("valid");
+    for i in 0..FRAMES {
+        let frame = scene.frame(i, Par::Threads(2));
+        let input = FrameInput {
+            t_s: frame.t_s,
+            rgb: &frame.rgb,
+            depth: &frame.depth,
+            mask: None,
+        };
+        slam.process(&input, &mut Silent).expect("a good frame");
+    }
+    slam
+}
+
+#[test]
+fn a_place_costs_a_bounded_number_of_keyframes() {
+    let scene = Scene::new(&SceneConfig {
+        frames: FRAMES,
+        width: 160,
+        height: 120,
+        static_twin: true,
+        noise: true,
+        supersample: 1,
+        ..SceneConfig::new(SceneName::QuietDesk)
+    })
+    .expect("valid scene");
+    let (all, culled) = (run(&scene, false, Par::Seq), run(&scene, true, Par::Seq));
+    let made = culled.map().keyframes().len();
+    let kept = culled.map().kept_ids().count();
+    assert_eq!(
+        all.map().kept_ids().count(),
+        all.map().keyframes().len(),
+        "off is off"
+    );
+    assert!(
+        made >= FRAMES / 10 && kept <= made * 3 / 4,
+        "{kept} of {made} kept"
+    );
+    for id in culled.map().kept_ids() {
+        assert!(
+            !culled.map().keyframe(id).is_empty(),
+            "{id} has its features"
+        );
+    }
+    for (_, landmark) in culled.map().landmarks() {
+        let mut seen_by = landmark.observations.iter();
+        assert!(
+            seen_by.all(|(k, _)| !culled.map().is_culled(*k)),
+            "by keyframes that are there"
+        );
+    }
+    let error_m = |slam: &Slam| {
+        let path = slam.trajectory();
+        assert_eq!(path.len(), FRAMES, "every frame has a pose");
+        let error = ate(&scene.trajectory(), &path, &AteOptions::default());
+        error.expect("judged").stats.rmse
+    };
+    let (before, after) = (error_m(&all), error_m(&culled));
+    assert!(
+        after < 1.3 * before + 0.002,
+        "ATE {before} m with all, {after} m without"
+    );
+    let bits = |slam: &Slam| -> Vec<[u64; 3]> {
+        let path = slam.trajectory().into_iter();
+        path.map(|p| p.world_from_camera.translation.map(f64::to_bits).into())
+            .collect()
+    };
+    let threaded = run(&scene, true, Par::Threads(3));
+    assert_eq!(bits(&culled), bits(&threaded), "3 threads, same bits");
+}
