@@ -21,6 +21,7 @@ pub use garad_synth as synth;
 pub mod config_file;
 pub mod conformance;
 pub mod output;
+pub mod packed_labels;
 pub mod pictures;
 pub mod progress;
 pub mod render_quality;

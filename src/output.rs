@@ -8,6 +8,7 @@
 //! | `report.html` | one page for people |
 //! | `labels/` | what was found to move: `keypoints.csv`, `masks/*.png` (a value per 4 x 4 pixels), `gaussians.csv` (counts per keyframe), `gaussians.ply` (all, with a label) |
 //! | `losses.csv` | loss of training: a row per mapping job (its last iteration) and per iteration of `--refine` |
+//! | `costs.csv` | per frame: milliseconds of tracking and of waiting for the map, memory in use (other on every run) |
 //! | `pictures/` | input, render, depth and keypoints of a few frames |
 //! | `config.toml` | every number as used |
 
@@ -26,6 +27,7 @@ use garad_slam::TrackingState;
 
 use crate::pictures;
 use crate::runner::{RunResult, Snapshot};
+use crate::stopwatch::{FrameCost, memory_mb};
 
 /// The figures of a run.
 #[derive(Debug)]
@@ -53,7 +55,7 @@ impl Judged {
         metrics.threads = result.threads;
         metrics.timing = result.stopwatch.summary();
         metrics.wall_s = Some(result.wall_s);
-        metrics.peak_rss_mb = peak_rss_mb();
+        metrics.peak_rss_mb = memory_mb("VmHWM:");
         if let Some(gaussians) = result.slam.gaussians() {
             metrics.map.gaussians = Some(gaussians.len());
             let dynamic = gaussians.label.iter().filter(|l| **l == Label::Dynamic);
@@ -177,6 +179,7 @@ pub fn write(out: &Path, result: &RunResult, judged: &Judged, warnings: &[String
     let map = write_ply(&out.join("map.ply"), &at_rest, &PlyOptions::default());
     write_labels(&out.join("labels"), result)?;
     write_bytes_atomically(&out.join("losses.csv"), losses(result).as_bytes())?;
+    write_bytes_atomically(&out.join("costs.csv"), costs(&result.costs).as_bytes())?;
     let config = crate::config_file::write(result.slam.config())?;
     write_bytes_atomically(&out.join("config.toml"), config.as_bytes())?;
     write_bytes_atomically(
@@ -211,11 +214,11 @@ fn write_labels(out: &Path, result: &RunResult) -> Result<()> {
         .with_context(|| format!("{}: cannot make the folder", masks.display()))?;
     let mut rows = String::from("frame,x_px,y_px,moves\n");
     for found in &result.found {
-        for ([x, y], label) in &found.keypoints {
-            let moves = u8::from(*label == Label::Dynamic);
+        for ([x, y], label) in found.keypoints() {
+            let moves = u8::from(label == Label::Dynamic);
             rows.push_str(&format!("{},{x:.1},{y:.1},{moves}\n", found.frame.0));
         }
-        let png = pictures::png_gray(&found.cells)?;
+        let png = pictures::png_gray(&found.cells())?;
         write_bytes_atomically(&masks.join(format!("{:06}.png", found.frame.0)), &png)?;
     }
     write_bytes_atomically(&out.join("keypoints.csv"), rows.as_bytes())?;
@@ -238,6 +241,21 @@ fn write_labels(out: &Path, result: &RunResult) -> Result<()> {
     let options = PlyOptions { label: true };
     let _ = write_ply(&out.join("gaussians.ply"), result.gaussians()?, &options);
     Ok(())
+}
+
+/// Frame by frame, time and memory.
+fn costs(costs: &[FrameCost]) -> String {
+    let mut rows = String::from("frame,tracking_ms,waiting_ms,resident_mib\n");
+    for cost in costs {
+        let memory = cost.resident_mb.map(|m| format!("{m:.1}"));
+        let (tracking_ms, waiting_ms) = (cost.tracking_ms, cost.waiting_ms);
+        rows.push_str(&format!(
+            "{},{tracking_ms:.2},{waiting_ms:.2},{}\n",
+            cost.frame,
+            memory.unwrap_or_default()
+        ));
+    }
+    rows
 }
 
 /// The losses of training. A number is the shortest decimal that reads back as the same f32, so equal
@@ -362,12 +380,4 @@ fn report(
         warnings: &notes,
         config_toml: config,
     })
-}
-
-/// Largest resident memory of this process so far, MiB, where the system tells (Linux).
-fn peak_rss_mb() -> Option<f64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
-    let kib: f64 = line.split_whitespace().nth(1)?.parse().ok()?;
-    Some(kib / 1024.0)
 }

@@ -6,14 +6,14 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 use garad_core::{Camera, GaussianMap, Label, MaskImage, Par, RgbImage, StampedPose};
 use garad_eval::{Confusion, RunLabels};
-use garad_slam::labels::FrameLabels;
 use garad_slam::mapper::train::TrainStep;
 use garad_slam::session::{SectionReader, SectionWriter};
 use garad_slam::{Config, FrameInput, FrameReport, SessionError, Slam, TrackingState};
 
+use crate::packed_labels::PackedLabels;
 use crate::progress::Progress;
 use crate::session::Recording;
-use crate::stopwatch::{SharedStopwatch, Stopwatch};
+use crate::stopwatch::{FrameCost, SharedStopwatch, Stopwatch, memory_mb};
 
 /// A frame as the runner wants it.
 #[derive(Debug, Clone)]
@@ -107,7 +107,9 @@ pub struct RunResult {
     /// Labels against the truth, for the frames that have one; `None` if nothing was labelled.
     pub labels: Option<RunLabels>,
     /// What was found to move, frame by frame.
-    pub found: Vec<FrameLabels>,
+    pub found: Vec<PackedLabels>,
+    /// What every frame cost.
+    pub costs: Vec<FrameCost>,
     /// The iterations of the training after the last frame, one by one.
     pub refined: Vec<TrainStep>,
 }
@@ -353,6 +355,7 @@ impl Run {
             snapshots: result.snapshots,
             labels: (!result.judged.frames.is_empty()).then_some(result.judged),
             found: result.found,
+            costs: result.costs,
             refined: result.refined,
         })
     }
@@ -388,7 +391,8 @@ struct Collected {
     stopwatch: Stopwatch,
     snapshots: Vec<Snapshot>,
     judged: RunLabels,
-    found: Vec<FrameLabels>,
+    found: Vec<PackedLabels>,
+    costs: Vec<FrameCost>,
     refined: Vec<TrainStep>,
 }
 
@@ -402,13 +406,15 @@ impl Collected {
             snapshots: _, // of one part only
             judged,
             found,
+            costs,
             refined: _, // only after the last frame
         } = self;
         to.put("frames", frames)?;
         to.put("skipped", skipped)?;
         to.put("stopwatch", stopwatch)?;
         to.put("judged", judged)?;
-        to.put("found", found)
+        to.put("found", found)?;
+        to.put("costs", costs)
     }
 
     fn load<R: Read>(&mut self, from: &mut SectionReader<R>) -> Result<(), SessionError> {
@@ -417,6 +423,7 @@ impl Collected {
         self.stopwatch = from.take("stopwatch")?;
         self.judged = from.take("judged")?;
         self.found = from.take("found")?;
+        self.costs = from.take("costs")?;
         Ok(())
     }
 
@@ -436,6 +443,12 @@ impl Collected {
         let tracked = begun.elapsed().saturating_sub(waited);
         self.stopwatch.record("frame", tracked);
         self.keep_labels(slam, frame, &report);
+        self.costs.push(FrameCost {
+            frame: report.id.0,
+            tracking_ms: tracked.as_secs_f64() * 1e3,
+            waiting_ms: waited.as_secs_f64() * 1e3,
+            resident_mb: memory_mb("VmRSS:"),
+        });
         Ok(report)
     }
 
@@ -469,7 +482,8 @@ impl Collected {
                 pixels: Confusion::of_masks(&mask, truth).ok(),
             });
         }
-        self.found.extend(slam.frame_labels().cloned());
+        self.found
+            .extend(slam.frame_labels().map(PackedLabels::new));
     }
 }
 

@@ -74,6 +74,29 @@ impl Observer for Stopwatch {
     }
 }
 
+/// What a frame cost.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct FrameCost {
+    /// Position in the recording.
+    pub frame: u32,
+    /// Tracking, without the wait, milliseconds.
+    pub tracking_ms: f64,
+    /// Waiting for the mapper, milliseconds.
+    pub waiting_ms: f64,
+    /// Memory in use after it, MiB; `None` where the system does not say.
+    pub resident_mb: Option<f64>,
+}
+
+/// A line of `/proc/self/status` that counts memory, such as `VmRSS:` or `VmHWM:`, MiB. `None` on
+/// systems that have no such file.
+#[must_use]
+pub fn memory_mb(line: &str) -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|l| l.starts_with(line))?;
+    let kib: f64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some(kib / 1024.0)
+}
+
 /// A stopwatch that can be held from two threads.
 #[derive(Debug, Clone, Default)]
 pub struct SharedStopwatch(Arc<Mutex<Stopwatch>>);

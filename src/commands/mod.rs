@@ -54,6 +54,8 @@ pub(crate) enum Part {
     Flow,
     /// No map of Gaussians.
     Mapping,
+    /// The path is not pulled together where a place is seen again.
+    Loops,
 }
 
 impl Part {
@@ -62,6 +64,7 @@ impl Part {
             Self::Crf => config.labels.enabled = false,
             Self::Flow => config.flow.enabled = false,
             Self::Mapping => config.seed.enabled = false,
+            Self::Loops => config.loops.enabled = false,
         }
     }
 }
