@@ -15,6 +15,7 @@ pub use mapping::{DensifyConfig, Optimiser, RateConfig, ScheduleConfig, SeedConf
 
 use labels::crf_default;
 
+pub use crate::culling::CullingConfig;
 pub use crate::loop_closing::LoopConfig;
 
 /// The whole configuration; a TOML table per field.
@@ -35,6 +36,8 @@ pub struct Config {
     pub local_ba: LocalBaConfig,
     /// Places seen again.
     pub loops: LoopConfig,
+    /// Keyframes given up.
+    pub culling: CullingConfig,
     /// Gaussians from depth.
     pub seed: SeedConfig,
     /// Training of the map.
@@ -62,6 +65,7 @@ impl Default for Config {
             refine: RefineConfig::default(),
             local_ba: LocalBaConfig::default(),
             loops: LoopConfig::default(),
+            culling: CullingConfig::default(),
             seed: SeedConfig::default(),
             train: TrainConfig::default(),
             densify: DensifyConfig::default(),
@@ -403,6 +407,10 @@ impl Config {
              inside(0.0, self.loops.max_drift_floor_m, f64::INFINITY), positive),
             ("loops.in_a_row", self.loops.in_a_row as f64, self.loops.in_a_row > 0, "at least 1"),
             ("loops.min_inliers", self.loops.min_inliers as f64, self.loops.min_inliers >= 3, "at least 3"),
+            ("culling.redundant_share", self.culling.redundant_share,
+             inside(0.0, self.culling.redundant_share, 1.0 + f64::EPSILON), "a number in (0, 1]"),
+            ("culling.observers", self.culling.observers as f64, self.culling.observers > 0, "at least 1"),
+            ("train.max_views", self.train.max_views as f64, self.train.max_views >= 2, "at least 2"),
             ("keyframes.max_gap", self.keyframes.max_gap as f64, self.keyframes.max_gap > 0, "at least 1"),
             ("seed.stride_px", s.stride_px as f64, s.stride_px > 0, "at least 1"),
             ("seed.footprint", s.footprint, inside(0.0, s.footprint, f64::INFINITY), positive),

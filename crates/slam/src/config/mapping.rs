@@ -49,6 +49,8 @@ pub struct TrainConfig {
     pub per_frame: usize,
     /// Iterations after the last frame.
     pub refine: usize,
+    /// Pictures kept to train on at most, 2.4 MB each at 640 x 480 (decision 010).
+    pub max_views: usize,
     /// Uses of a keyframe at 1/4 and again at 1/2 of its size, before it is used whole.
     pub uses_per_level: usize,
     /// Weight of the photometric loss (eq. 12).
@@ -96,6 +98,7 @@ impl Default for TrainConfig {
             per_keyframe: 6,
             per_frame: 1,
             refine: 0,
+            max_views: 150,
             uses_per_level: 8,
             lambda_photometric: 0.8,
             lambda_dynamic: 0.2,
