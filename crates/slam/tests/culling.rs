@@ -3,19 +3,18 @@
 use garad_core::Par;
 use garad_eval::{AteOptions, ate};
 use garad_slam::{Config, FrameInput, Silent, Slam};
-use garad_synth::{Scene, SceneConfig, SceneName};
+use garad_synth::{Scene, SceneConfig, SceneName, SynthFrame};
 
 const FRAMES: usize = 240;
 
-fn run(scene: &Scene, enabled: bool, par: Par) -> Slam {
+fn run(scene: &Scene, frames: &[SynthFrame], enabled: bool, par: Par) -> Slam {
     let mut config = Config::default();
     config.seed.enabled = false;
     config.labels.enabled = false;
     config.features.count = 300;
     config.culling.enabled = enabled;
     let mut slam = Slam::new(scene.camera(), config, 0, par).expect("valid");
-    for i in 0..FRAMES {
-        let frame = scene.frame(i, Par::Threads(2));
+    for frame in frames {
         let input = FrameInput {
             t_s: frame.t_s,
             rgb: &frame.rgb,
@@ -39,7 +38,13 @@ fn a_place_costs_a_bounded_number_of_keyframes() {
         ..SceneConfig::new(SceneName::QuietDesk)
     })
     .expect("valid scene");
-    let (all, culled) = (run(&scene, false, Par::Seq), run(&scene, true, Par::Seq));
+    let frames: Vec<_> = (0..FRAMES)
+        .map(|i| scene.frame(i, Par::Threads(2)))
+        .collect();
+    let (all, culled) = (
+        run(&scene, &frames, false, Par::Seq),
+        run(&scene, &frames, true, Par::Seq),
+    );
     let made = culled.map().keyframes().len();
     let kept = culled.map().kept_ids().count();
     assert_eq!(
@@ -80,6 +85,6 @@ fn a_place_costs_a_bounded_number_of_keyframes() {
         path.map(|p| p.world_from_camera.translation.map(f64::to_bits).into())
             .collect()
     };
-    let threaded = run(&scene, true, Par::Threads(3));
+    let threaded = run(&scene, &frames, true, Par::Threads(3));
     assert_eq!(bits(&culled), bits(&threaded), "3 threads, same bits");
 }
