@@ -115,9 +115,10 @@ fn every_iteration_of_training_has_its_loss() {
         "header"
     );
     let rows: Vec<Vec<&str>> = lines.map(|line| line.split(',').collect()).collect();
-    let of = |when: &str| rows.iter().filter(move |row| row[0] == when);
-    assert!(of("job").count() > 1, "a job per keyframe: {text}");
-    let refined: Vec<_> = of("refine").map(|row| row[1]).collect();
+    let jobs = rows.iter().filter(|row| row[0] == "job").count();
+    assert!(jobs > 1, "a job per keyframe: {text}");
+    let refined = rows.iter().filter(|row| row[0] == "refine");
+    let refined: Vec<_> = refined.map(|row| row[1]).collect();
     assert_eq!(refined, ["0", "1", "2"], "{text}");
     for row in &rows {
         let loss: f32 = row[5].parse().expect("a number");

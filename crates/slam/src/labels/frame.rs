@@ -331,11 +331,7 @@ pub(crate) mod tests {
         })
     }
 
-    pub(crate) fn is_in(
-        [[x0, x1], [y0, y1]]: [[usize; 2]; 2],
-        x: usize,
-        y: usize,
-    ) -> bool {
+    pub(crate) fn is_in([[x0, x1], [y0, y1]]: [[usize; 2]; 2], x: usize, y: usize) -> bool {
         (x0..x1).contains(&x) && (y0..y1).contains(&y)
     }
 
