@@ -1,4 +1,4 @@
-//! [`record`] and [`write`]: the inputs and outputs of every stage of some frames, on disk.
+//! [`record`] and [`write()`]: the inputs and outputs of every stage of some frames, on disk.
 
 use std::ops::RangeInclusive;
 use std::path::Path;

@@ -3,7 +3,7 @@
 //! A port that ends somewhere else asks where it left the path; the answer is the first tensor that
 //! differs. So the pipeline writes down, for the frames asked for, the inputs and outputs of its
 //! stages in the order in which they run. The stages themselves know nothing of it: the pipeline
-//! hands them over where it calls them, one line each, and [`stages`] says what is written.
+//! hands them over where it calls them, one line each, and `stages` says what is written.
 //!
 //! Without a trace each of these lines is one comparison; nothing is copied or allocated.
 //! The numbers are those of the run, untouched: the same bits for any number of threads.
