@@ -40,7 +40,7 @@ const DIRECTIONS: [[f64; 3]; 7] = [
 /// use garad_core::sh::{ShRotation, color};
 /// use nalgebra::Vector3;
 /// let quarter = So3::exp(&Vector3::new(0.0, 0.0, std::f64::consts::FRAC_PI_2));
-/// let mut sh = [[0.0; 3], [0.0; 3], [0.0; 3], [-0.5; 3]];
+/// let mut sh = [[0.0_f64; 3], [0.0; 3], [0.0; 3], [-0.5; 3]];
 /// let before = color(1, &sh, [1.0, 0.0, 0.0]);
 /// ShRotation::new(&quarter).turn(&mut sh);
 /// let after = color(1, &sh, [0.0, 1.0, 0.0]);
