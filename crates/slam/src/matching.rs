@@ -223,3 +223,140 @@ impl Matcher<'_> {
         kept.len()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use garad_core::pyramid::level_scales;
+    use garad_core::{DepthImage, FrameId};
+    use garad_features::{Descriptor, Keypoint};
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::config::Config;
+    use crate::frame::Levels;
+
+    /// Everything is so far away, metres.
+    const DEPTH_M: f32 = 2.0;
+
+    struct Scene {
+        camera: Camera,
+        config: Config,
+        scales: Vec<f64>,
+    }
+
+    impl Scene {
+        /// A camera with fx = 100 px and a virtual baseline of 10 / 100 = 0.1 m.
+        fn new() -> Self {
+            let mut config = Config::default();
+            config.tracking.bf = 10.0;
+            let scales = level_scales(1.2, 8);
+            Self {
+                camera: Camera::pinhole((160, 120), [100.0, 100.0, 80.0, 60.0]).expect("valid"),
+                config,
+                scales: scales.into_iter().map(f64::from).collect(),
+            }
+        }
+
+        fn matcher(&self) -> Matcher<'_> {
+            Matcher {
+                camera: &self.camera,
+                config: &self.config.tracking,
+                scales: &self.scales,
+                par: Par::Seq,
+            }
+        }
+
+        /// A frame with keypoints in the middle of the picture: level, and the lowest bits of the descriptor.
+        fn frame(&self, keypoints: &[(u8, u64)]) -> Frame {
+            let of = |&(level, _): &(u8, u64)| Keypoint {
+                x: 80.0,
+                y: 60.0,
+                level,
+                angle_deg: 0.0,
+                response: 1.0,
+            };
+            let bits = keypoints
+                .iter()
+                .map(|(_, bits)| Descriptor([*bits, 0, 0, 0]));
+            Frame::new(
+                FrameId(0),
+                0.0,
+                keypoints.iter().map(of).collect(),
+                bits.collect(),
+                &DepthImage::new(160, 120, DEPTH_M),
+                None,
+                &self.camera,
+                &Levels::new((160, 120), 1.2, 8, false),
+                &self.config,
+            )
+        }
+
+        /// A map of one keyframe that made a landmark of each of its keypoints.
+        fn map(&self, keypoints: &[(u8, u64)]) -> (Map, Vec<LandmarkId>) {
+            let mut map = Map::default();
+            let id = map.add_keyframe(self.frame(keypoints));
+            let p_world = Vector3::new(0.0, 0.0, f64::from(DEPTH_M));
+            let landmark = |i| map.add_landmark(p_world, id, i, &self.scales);
+            let landmarks = (0..keypoints.len()).map(landmark).collect();
+            (map, landmarks)
+        }
+    }
+
+    /// A landmark seen at level 3; now there are keypoints at levels 1 and 5.
+    #[test]
+    fn forwards_detail_grows_and_backwards_it_shrinks() {
+        let scene = Scene::new();
+        let (map, landmarks) = scene.map(&[(3, 0)]);
+        let last = map.keyframe(garad_core::KeyframeId(0));
+        for (forward_m, at_1, at_5) in [
+            (0.11, None, Some(landmarks[0])),
+            (0.09, None, None),
+            (-0.09, None, None),
+            (-0.11, Some(landmarks[0]), None),
+        ] {
+            let mut now = scene.frame(&[(1, 0), (5, 0)]);
+            now.camera_from_world.translation.z = -forward_m;
+            let found = scene.matcher().from_last_frame(&map, last, &mut now, 5.0);
+            assert_eq!(now.landmark, [at_1, at_5], "{forward_m} m forwards");
+            assert_eq!(
+                found,
+                usize::from(at_1.or(at_5).is_some()),
+                "{forward_m} m forwards"
+            );
+        }
+    }
+
+    /// Two landmarks at the same place; the only keypoint there is the first one's.
+    #[test]
+    fn a_keypoint_that_is_taken_stays_taken() {
+        let scene = Scene::new();
+        let (map, landmarks) = scene.map(&[(2, 0b0001), (2, 0b0011)]);
+        let matcher = scene.matcher();
+        let visible: Vec<_> = (landmarks.iter())
+            .map(|id| {
+                let landmark = map.landmark(*id).expect("made");
+                let frame = scene.frame(&[]);
+                let seen = map.appearance(landmark, &frame, &scene.camera, &scene.scales);
+                (*id, seen.expect("in the middle of the picture"))
+            })
+            .collect();
+        let from_map = |now: &mut Frame| matcher.from_local_map(&map, &visible, now);
+        let last = map.keyframe(garad_core::KeyframeId(0));
+        let from_last = |now: &mut Frame| matcher.from_last_frame(&map, last, now, 5.0);
+        let ways: [&dyn Fn(&mut Frame) -> usize; 2] = [&from_map, &from_last];
+        for (way, search) in ["local map", "last frame"].into_iter().zip(ways) {
+            // The second landmark's descriptor, bit by bit.
+            let mut now = scene.frame(&[(2, 0b0011)]);
+            assert_eq!(search(&mut now), 1, "{way}: one link for one keypoint");
+            assert_eq!(now.landmark, [Some(landmarks[0])], "{way}: the first's");
+            // What is left for the second is 61 bits away from it: within 100.
+            let mut now = scene.frame(&[(2, 0b0011), (2, u64::MAX << 1)]);
+            assert_eq!(search(&mut now), 2, "{way}: one each");
+            assert_eq!(
+                now.landmark,
+                [Some(landmarks[0]), Some(landmarks[1])],
+                "{way}: what is left"
+            );
+        }
+    }
+}

@@ -200,6 +200,41 @@ fn wrong_matches_are_named_and_bent_around() {
     assert!(error.log().norm() < 5e-3, "Huber: {error:?}");
 }
 
+/// 95 % of χ²: 5.991 for a pixel (2 degrees of freedom), 7.815 with its depth (3). A point 2 m ahead of a camera at
+/// rest, seen so many σ beside the middle; the depth reading is exact and adds nothing.
+#[test]
+fn the_gate_is_that_of_the_degrees_of_freedom() {
+    let camera = Camera::pinhole((640, 480), [500.0, 500.0, 320.0, 240.0]).unwrap();
+    let depth = DepthObservation::right_from_depth(320.0, 1.0, 2.0, 0.0, BF);
+    let seen = |off_px: f64, depth| BundleObservation {
+        pose: 0,
+        point: 0,
+        uv_px: Vector2::new(320.0, 240.0 + off_px),
+        sigma_px: 1.0,
+        depth,
+    };
+    // 2.4² = 5.76, 2.6² = 6.76, 2.9² = 8.41
+    let observations = [2.4, 2.6, 2.9].map(|off| [seen(off, None), seen(off, Some(depth))]);
+    let config = BundleConfig {
+        iterations: 0,
+        ..BundleConfig::default()
+    };
+    let report = optimise_bundle(
+        &camera,
+        BF,
+        &mut [Se3::identity()],
+        &[true],
+        &mut [Vector3::new(0.0, 0.0, 2.0)],
+        observations.as_flattened(),
+        &config,
+    );
+    assert_eq!(
+        report.unwrap().inlier,
+        [true, true, false, true, false, false],
+        "2.4, 2.6 and 2.9 σ, without and with depth"
+    );
+}
+
 #[test]
 fn the_unseen_stays_and_what_is_behind_takes_no_part() {
     let mut scene = scene(4, 20);

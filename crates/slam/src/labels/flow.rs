@@ -114,7 +114,7 @@ mod tests {
 
     use super::*;
     use crate::config::Config;
-    use crate::labels::frame::tests::{frame, is_in, places, slam, wall};
+    use crate::labels::frame::tests::{frame, is_in, places, slam, wall, wall_behind};
 
     /// What moves between the two pictures, and how far, px.
     const PATCH_PX: [[usize; 2]; 2] = [[48, 112], [32, 96]];
@@ -183,6 +183,53 @@ mod tests {
                     now.px[i]
                 );
             }
+        }
+    }
+
+    /// The camera has gone 10 cm to the right past a box at 1.5 m, in front of a wall at 3 m: with fx = 120 px the
+    /// wall has gone 4 px to the left, and something at rest on the box 8 px. The suspects are on the box, which
+    /// has gone `box_px`.
+    fn past_a_box(box_px: usize) -> (Slam, Frame, LkPyramid, Vec<usize>) {
+        let mut slam = slam(Config::default());
+        let first = texture();
+        let at = |x: usize, y| first[(x.min(159), y)];
+        let second = GrayImage::from_fn(160, 120, |x, y| match is_in(PATCH_PX, x, y) {
+            true => at(x + box_px, y),
+            false => at(x + 4, y),
+        });
+        let pyramid = |image| LkPyramid::new(image, 1).expect("a picture");
+        slam.last = Some(frame(&slam, 20, &wall()));
+        slam.last_pyramid = Some(Arc::new(pyramid(&first)));
+        let mut now = frame(&slam, 21, &wall_behind(PATCH_PX));
+        now.camera_from_world.translation.x = -0.1;
+        let mut label = vec![Label::Static; now.len()];
+        let mut in_use = vec![true; now.len()];
+        let mut suspects = Vec::new();
+        for (i, [x, y]) in places().into_iter().enumerate() {
+            in_use[i] = !is_in([[36, 124], [20, 108]], x, y);
+            if is_in([[64, 98], [48, 84]], x, y) {
+                label[i] = Label::Dynamic;
+                suspects.push(i);
+            }
+        }
+        now.set_labels(label, in_use, &slam.camera);
+        (slam, now, pyramid(&second), suspects)
+    }
+
+    /// What is near flows further. The prediction knows, so who has flowed twice as far as the wall is at rest, and
+    /// who has kept up with the wall has moved.
+    #[test]
+    fn predicted_flow_goes_the_way_of_the_flow() {
+        for (box_px, label) in [(8, Label::Static), (4, Label::Dynamic)] {
+            let (slam, mut now, pyramid, suspects) = past_a_box(box_px);
+            assert!(suspects.len() >= 16, "suspects");
+            let recovered = slam.recover_by_flow(&mut now, &pyramid);
+            let at_rest = suspects.iter().filter(|_| label == Label::Static).count();
+            assert_eq!(recovered, at_rest, "{box_px} px");
+            assert!(
+                suspects.iter().all(|i| now.label[*i] == label),
+                "{box_px} px"
+            );
         }
     }
 

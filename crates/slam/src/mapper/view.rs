@@ -207,6 +207,23 @@ mod tests {
         );
     }
 
+    #[test]
+    fn coarse_depth_is_that_of_the_even_pixels() {
+        let depth = DepthImage::from_fn(32, 24, |x, y| (100 * y + x) as f32 + 1.0);
+        let rgb = RgbImage::new(32, 24, [0; 3]);
+        let view = TrainingView::new(KeyframeId(0), rgb, Some(depth), None, 0);
+        for (level, step) in [(0, 1), (1, 2), (2, 4)] {
+            let coarse = target(&view, level).depth.expect("kept");
+            assert_eq!(coarse.size(), (32 / step, 24 / step), "level {level}");
+            let at = |x: usize, y: usize| (100 * y * step + x * step) as f32 + 1.0;
+            assert_eq!(
+                (coarse[(0, 0)], coarse[(3, 0)], coarse[(5, 2)]),
+                (1.0, at(3, 0), at(5, 2)),
+                "level {level}: every pixel number {step}"
+            );
+        }
+    }
+
     fn looking(x_m: f64, turn: f64) -> Se3 {
         let rotation = garad_core::So3::exp(&Vector3::new(0.0, turn, 0.0));
         Se3::new(rotation, Vector3::new(x_m, 0.0, 0.0)).inverse()
