@@ -31,6 +31,14 @@ const BONE_M: f64 = 0.43;
 const UPPER_ARM_M: f64 = 0.28;
 const FOREARM_M: f64 = 0.25;
 
+/// Who talks with the hands does not stand like a post: weight goes from foot to foot, and the trunk
+/// turns with the arms. People left to stand as they like shift by several centimetres every few
+/// seconds (Duarte and Zatsiorsky 1999). (half the way, metres or radians; its rate, rad/s; share of
+/// the figure's phase) forward, to the left, and about the upright axis.
+const SWAY: [(f64, f64, f64); 3] = [(0.030, 0.7, 1.7), (0.045, 1.1, 1.0), (0.14, 0.9, 0.6)];
+/// Hips of who sways are lower by so much: knees that are straight do not let them, metres.
+const SWAY_BEND_M: f64 = 0.035;
+
 /// What the arms do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Arms {
@@ -83,6 +91,8 @@ pub(crate) const LOAD: ([f64; 3], [f64; 3]) = ([0.36, 0.0, 1.10], [0.13, 0.19, 0
 /// Collects parts in units of a figure 1.75 m tall.
 struct Body {
     k: f64,
+    /// How all above the hips stands off from upright over the feet, if it does.
+    sway: Option<Se3>,
     parts: Vec<Part>,
 }
 
@@ -114,6 +124,7 @@ impl Body {
     }
 
     fn push(&mut self, shape: Shape, pose: Se3, material: Material) {
+        let pose = self.sway.map_or(pose, |sway| sway * pose);
         let figure_from_part = Se3::new(pose.rotation, pose.translation * self.k);
         self.parts.push(Part {
             shape,
@@ -159,15 +170,30 @@ impl Figure {
         let k = self.height_m / 1.75;
         let mut body = Body {
             k,
+            sway: None,
             parts: Vec::with_capacity(26),
         };
         let cycle = step.gone_m / (STRIDE_M * k);
         let swing = libm::sin(TAU * (cycle + 0.10));
         let lift = lift(cycle);
-        self.legs(&mut body, cycle);
+        let sway = self.sway(step.t_s);
+        self.legs(&mut body, cycle, sway.as_ref());
+        body.sway = sway;
         self.torso(&mut body, swing * step.pace, lift, step.t_s);
         self.arms(&mut body, swing * step.pace, lift, step.t_s);
         body.parts
+    }
+
+    /// From where the trunk is with feet together to where it is now. `None` for who does not sway.
+    fn sway(&self, t_s: f64) -> Option<Se3> {
+        let phase = f64::from(self.seed % 628) * 0.01;
+        let of =
+            |(half, rate, share): (f64, f64, f64)| half * libm::sin(rate * t_s + share * phase);
+        let [x, y, yaw] = SWAY.map(of);
+        (self.arms == Arms::Gesture).then(|| {
+            let turn = So3::exp(&Vector3::new(0.0, 0.0, yaw));
+            Se3::new(turn, Vector3::new(x, y, -SWAY_BEND_M))
+        })
     }
 
     fn shirt(&self) -> Material {
@@ -184,7 +210,8 @@ impl Figure {
         }
     }
 
-    fn legs(&self, body: &mut Body, cycle: f64) {
+    fn legs(&self, body: &mut Body, cycle: f64, sway: Option<&Se3>) {
+        let swayed = |p: Vector3<f64>| sway.map_or(p, |sway| *sway * p);
         let cloth = Material::Fabric {
             cloth: self.trousers,
             seed: self.seed ^ 1,
@@ -200,7 +227,7 @@ impl Figure {
         for (side, shift) in [(1.0, 0.0), (-1.0, 0.5)] {
             let p = cycle + shift - (cycle + shift).floor();
             let (x, up) = ankle(p);
-            let hip = Vector3::new(0.0, 0.09 * side, HIP_M + lift(cycle));
+            let hip = swayed(Vector3::new(0.0, 0.09 * side, HIP_M + lift(cycle)));
             let foot = Vector3::new(x, 0.085 * side, ANKLE_M + up);
             let knee = knee(&hip, &foot);
             let leg = if self.skirt { tights } else { cloth };
@@ -211,7 +238,7 @@ impl Figure {
             let heel = foot + Vector3::new(-0.04, 0.0, -0.035);
             body.limb(heel, toe, 0.21, [0.045, 0.034], leather);
         }
-        let hips = Vector3::new(0.0, 0.0, HIP_M + lift(cycle) + 0.02);
+        let hips = swayed(Vector3::new(0.0, 0.0, HIP_M + lift(cycle) + 0.02));
         if self.skirt {
             let waist = hips + Vector3::z() * 0.05;
             body.limb(waist, waist - Vector3::z(), 0.26, [0.150, 0.225], cloth);
@@ -388,6 +415,34 @@ mod tests {
             assert!(((foot - knee).norm() - BONE_M).abs() < 1e-12, "shin at {p}");
             let middle = 0.5 * (hip + foot);
             assert!(knee.x >= middle.x, "knees bend forward, at {p}");
+        }
+    }
+
+    /// Who talks sways by centimetres, never leaves the ground, and never by more than knees allow;
+    /// who walks does not.
+    #[test]
+    fn who_talks_sways_over_standing_feet() {
+        let talks = figure(1.75, Arms::Gesture);
+        let (mut low, mut high) = (
+            Vector3::repeat(f64::INFINITY),
+            Vector3::repeat(f64::NEG_INFINITY),
+        );
+        for k in 0..400 {
+            let sway = talks.sway(0.1 * f64::from(k)).expect("sways");
+            low = low.inf(&sway.translation);
+            high = high.sup(&sway.translation);
+            for (side, p) in [(1.0, 0.0), (-1.0, 0.5)] {
+                let (x, up) = ankle(p);
+                let hip = sway * Vector3::new(0.0, 0.09 * side, HIP_M + lift(p));
+                let foot = Vector3::new(x, 0.085 * side, ANKLE_M + up);
+                assert!((foot - hip).norm() < 2.0 * BONE_M, "knee bends at {k}");
+            }
+        }
+        let reach = high - low;
+        assert!((0.058..0.0601).contains(&reach.x), "forward {}", reach.x);
+        assert!((0.088..0.0901).contains(&reach.y), "aside {}", reach.y);
+        for arms in [Arms::Swing, Arms::Carry] {
+            assert!(figure(1.75, arms).sway(1.0).is_none(), "{arms:?}");
         }
     }
 
