@@ -8,7 +8,7 @@
 The copy is made of HEAD (`--work`: of the working tree), in a temporary folder or in `--folder`, where a
 second run finds what the first has built. Of each crate the unit tests run first, then, if they all passed,
 the integration tests (of slam only the quick ones); documentation tests do not run. Before the first slip in a crate its tests have to pass
-as they are.
+as they are. results.csv beside this file is the report of one run of all: 37 minutes on a busy machine.
 
 `caught`: a test failed, or nothing came to an end in ten minutes. `missed`: all passed. `broken`: does not
 compile, so the slip proves nothing and has to be mended. Exit code 1 if more than 5 % are missed or
@@ -170,12 +170,12 @@ def main():
             seconds = time.monotonic() - at
             where = slip["file"].split("/src/")[1]
             print(f"{verdict:8} {crate:10} {where:22} {slip['what']:55} {by} ({seconds:.0f} s)", flush=True)
-            rows.append([crate, where, slip["what"], verdict, by, f"{seconds:.0f}"])
+            rows.append([crate, where, slip["what"], verdict, by])
 
     if args.report:
         with open(args.report, "w", newline="") as out:
             writer = csv.writer(out, lineterminator="\n")
-            writer.writerow(["crate", "file", "slip", "verdict", "noticed by", "seconds"])
+            writer.writerow(["crate", "file", "slip", "verdict", "noticed by"])
             writer.writerows(rows)
     count = lambda verdict: sum(row[3] == verdict for row in rows)
     missed, broken = count("missed"), count("broken")
