@@ -1,103 +1,10 @@
-//! The smaller stages, written a second time from their definitions, in f64, with their mistakes and liberties.
+//! The smaller stages, with their mistakes and liberties.
 
-use garad::conformance::own::{self, Width};
 use garad_core::Real;
 use garad_golden::Case;
 
 use super::answers::{Out, put_f64};
-
-/// Mistakes, one at a time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Slip {
-    AdamConstantCorrection,
-    AdamEpsilonInRoot,
-    AdamEpsilonScaled,
-    AdamNoCorrection,
-    CameraKalibr,
-    CameraRadialFirst,
-    CameraRadiusUpdated,
-    CameraTangentialFlipped,
-    CameraTangentialSwapped,
-    EpipolarCalibrationTransposed,
-    EpipolarOrder,
-    HuberHalfWeight,
-    HuberWithoutConstant,
-    KernelWithoutHalf,
-    FieldNormalisedOtherwise,
-    FieldPushes,
-    FieldOneIterationLess,
-    Se3LinearPartUnchanged,
-    Se3RotationForJacobian,
-    SsimConstantsOfBytes,
-    SsimFlatWindow,
-    SsimReflects,
-    SsimThirteenTaps,
-}
-
-/// In which order sums are added.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Sum {
-    Forwards,
-    Backwards,
-    /// Halves, and halves of these.
-    Tree,
-}
-
-impl Sum {
-    fn of(self, terms: &[f64]) -> f64 {
-        match self {
-            Self::Forwards => terms.iter().fold(0.0, |s, t| s + t),
-            Self::Backwards => terms.iter().rev().fold(0.0, |s, t| s + t),
-            Self::Tree if terms.len() < 3 => Self::Forwards.of(terms),
-            Self::Tree => {
-                let (a, b) = terms.split_at(terms.len() / 2);
-                self.of(a) + self.of(b)
-            }
-        }
-    }
-}
-
-/// One backend.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct How {
-    pub(crate) slip: Option<Slip>,
-    pub(crate) sum: Sum,
-}
-
-impl How {
-    fn is(&self, slip: Slip) -> bool {
-        self.slip == Some(slip)
-    }
-}
-
-pub(crate) const STAGES: [&str; 8] = [
-    "se3",
-    "camera",
-    "epipolar",
-    "robust",
-    "kernel",
-    "mean_field",
-    "losses",
-    "adam",
-];
-
-/// What the stage is not written a second time for is garad's own.
-pub(crate) fn answer(case: &Case, how: &How) -> Out {
-    let mut out = own::answers(case, Width::F64)
-        .expect("a sound case")
-        .unwrap_or_default();
-    match case.stage() {
-        "se3" => se3(case, how, &mut out),
-        "camera" => camera(case, how, &mut out),
-        "epipolar" => epipolar(case, how, &mut out),
-        "robust" => robust(case, how, &mut out),
-        "kernel" => kernel(case, how, &mut out),
-        "mean_field" => mean_field(case, how, &mut out),
-        "losses" => losses(case, how, &mut out),
-        _ => adam(case, how, &mut out),
-    }
-    out
-}
+use super::second::{How, Slip, Sum};
 
 type M3 = [[f64; 3]; 3];
 
@@ -130,7 +37,7 @@ fn pairs(case: &Case, name: &str) -> Vec<[f64; 2]> {
 }
 
 /// Both slips replace one output by a product with what the case itself expects of another.
-fn se3(case: &Case, how: &How, out: &mut Out) {
+pub(super) fn se3(case: &Case, how: &How, out: &mut Out) {
     let rhos = triples(case, "rho");
     if how.is(Slip::Se3LinearPartUnchanged) {
         put_f64(out, case, "log_translation", rhos.as_flattened());
@@ -153,7 +60,7 @@ fn se3(case: &Case, how: &How, out: &mut Out) {
     }
 }
 
-fn camera(case: &Case, how: &How, out: &mut Out) {
+pub(super) fn camera(case: &Case, how: &How, out: &mut Out) {
     let n = |name| case.param_f64(name);
     let [mut k1, mut k2, mut p1, mut p2, mut k3] = ["k1", "k2", "p1", "p2", "k3"].map(n);
     match how.slip {
@@ -189,7 +96,7 @@ fn camera(case: &Case, how: &How, out: &mut Out) {
     put_f64(out, case, "distorted", &bent.collect::<Vec<_>>());
 }
 
-fn epipolar(case: &Case, how: &How, out: &mut Out) {
+pub(super) fn epipolar(case: &Case, how: &How, out: &mut Out) {
     let k = case.input("intrinsics").f64();
     let inverse = [
         [1.0 / k[0], 0.0, -k[2] / k[0]],
@@ -240,7 +147,7 @@ fn epipolar(case: &Case, how: &How, out: &mut Out) {
 }
 
 /// Huber's kernel alone; the others are not touched.
-fn robust(case: &Case, how: &How, out: &mut Out) {
+pub(super) fn robust(case: &Case, how: &How, out: &mut Out) {
     if case.param_str("kernel") != "huber" {
         return;
     }
@@ -316,13 +223,13 @@ fn kernels(case: &Case, how: &How) -> [Vec<f64>; 2] {
     [k1, k2]
 }
 
-fn kernel(case: &Case, how: &How, out: &mut Out) {
+pub(super) fn kernel(case: &Case, how: &How, out: &mut Out) {
     let [k1, k2] = kernels(case, how);
     put_f64(out, case, "k1", &k1);
     put_f64(out, case, "k2", &k2);
 }
 
-fn mean_field(case: &Case, how: &How, out: &mut Out) {
+pub(super) fn mean_field(case: &Case, how: &How, out: &mut Out) {
     let u = case.input("log_odds").f64();
     let n = u.len();
     let mut coupling = vec![0.0; n * n];
@@ -440,7 +347,7 @@ fn smooth(a: &[f64], (width, height): (usize, usize), how: &How) -> Vec<f64> {
     }
 }
 
-fn losses(case: &Case, how: &How, out: &mut Out) {
+pub(super) fn losses(case: &Case, how: &How, out: &mut Out) {
     let kind = case.param_str("loss");
     if !["ssim", "photometric"].contains(&kind) {
         return;
@@ -494,7 +401,7 @@ fn losses(case: &Case, how: &How, out: &mut Out) {
 }
 
 /// Every number by itself; a row that is not there has no moments.
-fn adam(case: &Case, how: &How, out: &mut Out) {
+pub(super) fn adam(case: &Case, how: &How, out: &mut Out) {
     let [b1, b2, eps] = ["beta1", "beta2", "eps"].map(|n| case.param_f64(n));
     let (start, rates) = (
         case.input("start").f64(),

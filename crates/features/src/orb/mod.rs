@@ -10,7 +10,7 @@ pub mod brief;
 pub mod detect;
 pub mod octree;
 pub mod orientation;
-mod pattern;
+pub mod pattern;
 
 use garad_core::pyramid::{level_scales, level_sizes, resize_linear_into};
 use garad_core::{GrayImage, Image, Par};

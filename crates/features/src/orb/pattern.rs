@@ -6,7 +6,7 @@
 
 /// (x₀, y₀, x₁, y₁) per comparison, pixels from the keypoint before rotation, |coordinate| ≤ 13.
 #[rustfmt::skip]
-pub(crate) const PATTERN: [[i8; 4]; 256] = [
+pub const PATTERN: [[i8; 4]; 256] = [
     [8, -3, 9, 5], [4, 2, 7, -12], [-11, 9, -8, 2], [7, -12, 12, -13],
     [2, -13, 2, 12], [1, -7, 1, 6], [-2, -10, -2, -4], [-13, -13, -11, -8],
     [-13, -3, -12, -9], [10, 4, 11, 9], [-13, -8, -8, -9], [-11, 7, -9, 12],

@@ -1,0 +1,468 @@
+//! Poses and points with the least cost, written a second time with dense normal equations, with their mistakes.
+
+use garad_golden::Case;
+use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, Vector2, Vector3, Vector6};
+
+use super::answers::{Out, put_f64};
+use super::second::{How, Slip};
+
+/// Points nearer than this are behind the camera, metres.
+const NEAREST_M: f64 = 0.05;
+
+/// camera_from_world.
+#[derive(Clone)]
+struct Pose {
+    rotation: Matrix3<f64>,
+    shift: Vector3<f64>,
+}
+
+/// A point seen: where, how surely, and its virtual right coordinate, if there is one.
+struct Seen {
+    pose: usize,
+    point: usize,
+    uv: Vector2<f64>,
+    sigma: f64,
+    right: Option<[f64; 2]>,
+}
+
+impl Seen {
+    fn rows(&self) -> usize {
+        if self.right.is_some() { 3 } else { 2 }
+    }
+}
+
+struct Lens {
+    f: [f64; 2],
+    c: [f64; 2],
+    bf: f64,
+}
+
+impl Lens {
+    fn of(case: &Case) -> Self {
+        let n = |name| case.param_f64(name);
+        Self {
+            f: [n("fx"), n("fy")],
+            c: [n("cx"), n("cy")],
+            bf: n("bf"),
+        }
+    }
+}
+
+/// Rodrigues' formula, by its series where the angle is small.
+fn turn(w: &Vector3<f64>) -> Matrix3<f64> {
+    let angle2 = w.norm_squared();
+    let (a, b) = match angle2 < 1e-4 {
+        true => (
+            1.0 - angle2 / 6.0 * (1.0 - angle2 / 20.0),
+            0.5 - angle2 / 24.0 * (1.0 - angle2 / 30.0),
+        ),
+        false => {
+            let (sin, cos) = garad_core::Real::sin_cos(angle2.sqrt());
+            (sin / angle2.sqrt(), (1.0 - cos) / angle2)
+        }
+    };
+    let k = w.cross_matrix();
+    Matrix3::identity() + k * a + k * k * b
+}
+
+/// Residual of three rows, the third 0 without depth, and its derivative by the point in the camera.
+fn residual(lens: &Lens, p: &Vector3<f64>, seen: &Seen, how: &How) -> (Vector3<f64>, Matrix3<f64>) {
+    let (iz, [fx, fy]) = (1.0 / p.z, lens.f);
+    let fy = if how.is(Slip::FxForFy) { fx } else { fy };
+    let (u, v) = (fx * p.x * iz + lens.c[0], fy * p.y * iz + lens.c[1]);
+    let mut r = Vector3::new(u - seen.uv.x, v - seen.uv.y, 0.0);
+    let mut j = Matrix3::new(
+        fx * iz,
+        0.0,
+        -fx * p.x * iz * iz, //
+        0.0,
+        fy * iz,
+        -fy * p.y * iz * iz, //
+        0.0,
+        0.0,
+        0.0,
+    );
+    if how.is(Slip::NormalisedForPixels) {
+        r = Vector3::new(p.x * iz - seen.uv.x, p.y * iz - seen.uv.y, 0.0);
+    }
+    let sigma = match how.slip {
+        Some(Slip::SigmaForgotten) => 1.0,
+        Some(Slip::SigmaSquared) => seen.sigma * seen.sigma,
+        _ => seen.sigma,
+    };
+    let mut sigmas = [sigma, sigma, 1.0];
+    if let Some([u_right, sigma_right]) = seen.right {
+        let sign = if how.is(Slip::RightOnTheLeft) {
+            -1.0
+        } else {
+            1.0
+        };
+        r.z = u - sign * lens.bf * iz - u_right;
+        let slope = j[(0, 2)] + sign * lens.bf * iz * iz;
+        j.set_row(2, &nalgebra::RowVector3::new(fx * iz, 0.0, slope));
+        sigmas[2] = sigma_right;
+    }
+    for (row, sigma) in sigmas.into_iter().enumerate() {
+        r[row] /= sigma;
+        j.row_mut(row).unscale_mut(sigma);
+    }
+    (r, j)
+}
+
+/// By a pose that is moved on the left, translation first.
+fn by_pose(j: &Matrix3<f64>, pose: &Pose, p_world: &Vector3<f64>, how: &How) -> SMatrix<f64, 3, 6> {
+    let p = pose.rotation * p_world + pose.shift;
+    let (shift, rotation) = match how.slip {
+        Some(Slip::PerturbedOnTheRight) => (
+            j * pose.rotation,
+            -j * pose.rotation * p_world.cross_matrix(),
+        ),
+        Some(Slip::RotationSign) => (*j, j * p.cross_matrix()),
+        Some(Slip::ShiftNotTurned) => (*j, -j * (pose.rotation * p_world).cross_matrix()),
+        _ => (*j, -j * p.cross_matrix()),
+    };
+    let parts = match how.is(Slip::RotationFirst) {
+        true => [rotation, shift],
+        false => [shift, rotation],
+    };
+    SMatrix::from_fn(|i, k| parts[k / 3][(i, k % 3)])
+}
+
+fn matrices(values: &[f64]) -> Vec<Matrix3<f64>> {
+    values.chunks(9).map(Matrix3::from_row_slice).collect()
+}
+
+fn vectors(values: &[f64]) -> Vec<Vector3<f64>> {
+    values.chunks(3).map(Vector3::from_column_slice).collect()
+}
+
+fn observations(case: &Case, of: &[usize], how: &How) -> Vec<Seen> {
+    let (uv, sigma) = (case.input("uv").f64(), case.input("sigma").f64());
+    let right = case.input("right").f64();
+    let one = |i: usize| Seen {
+        pose: of[2 * i],
+        point: of[2 * i + 1],
+        uv: Vector2::new(uv[2 * i], uv[2 * i + 1]),
+        sigma: sigma[i],
+        right: (right[2 * i].is_finite() && !how.is(Slip::DepthIgnored))
+            .then(|| [right[2 * i], right[2 * i + 1]]),
+    };
+    (0..sigma.len()).map(one).collect()
+}
+
+pub(super) fn reprojection(case: &Case, how: &How, out: &mut Out) {
+    let lens = Lens::of(case);
+    let input = |name: &str| vectors(&case.input(name).f64());
+    let (phi, t, p_world) = (input("phi"), input("t"), input("p_world"));
+    let own: Vec<usize> = (0..phi.len()).flat_map(|i| [i, i]).collect();
+    let [mut residuals, mut poses, mut points] = [const { Vec::new() }; 3];
+    for (i, seen) in observations(case, &own, how).iter().enumerate() {
+        let pose = Pose {
+            rotation: turn(&phi[i]),
+            shift: t[i],
+        };
+        let (r, j) = residual(&lens, &(pose.rotation * p_world[i] + pose.shift), seen, how);
+        residuals.extend(r.iter());
+        poses.extend(by_pose(&j, &pose, &p_world[i], how).transpose().iter());
+        let slope = match how.is(Slip::PointNotTurned) {
+            true => j,
+            false => j * pose.rotation,
+        };
+        points.extend(slope.fixed_rows::<2>(0).transpose().iter());
+    }
+    put_f64(out, case, "residual", &residuals);
+    put_f64(out, case, "by_pose", &poses);
+    put_f64(out, case, "by_point", &points);
+}
+
+#[derive(Clone)]
+struct State {
+    poses: Vec<Pose>,
+    points: Vec<Vector3<f64>>,
+}
+
+/// ½ Σ ρ(‖r‖²) over what is seen; poses and points that are held do not move.
+struct Problem<'a> {
+    lens: &'a Lens,
+    seen: Vec<&'a Seen>,
+    held: Vec<bool>,
+    points_held: bool,
+    /// δ² with two and with three rows; plain squares without.
+    knee: Option<[f64; 2]>,
+    how: &'a How,
+}
+
+impl Problem<'_> {
+    fn knee(&self, seen: &Seen) -> f64 {
+        let Some([two, three]) = self.knee else {
+            return f64::INFINITY;
+        };
+        let knee = match seen.rows() {
+            3 if !self.how.is(Slip::KneeOfTwo) => three,
+            _ => two,
+        };
+        match self.how.is(Slip::KneeSquared) {
+            true => knee * knee,
+            false => knee,
+        }
+    }
+
+    /// ρ and its slope.
+    fn robust(&self, chi2: f64, seen: &Seen) -> (f64, f64) {
+        let knee = self.knee(seen);
+        if chi2 <= knee {
+            return (chi2, 1.0);
+        }
+        let weight = match self.how.is(Slip::WeightOfTheSquare) {
+            true => knee / chi2,
+            false => (knee / chi2).sqrt(),
+        };
+        (2.0 * (knee * chi2).sqrt() - knee, weight)
+    }
+
+    fn in_camera(state: &State, seen: &Seen) -> Vector3<f64> {
+        let pose = &state.poses[seen.pose];
+        pose.rotation * state.points[seen.point] + pose.shift
+    }
+
+    fn cost(&self, state: &State) -> f64 {
+        let one = |seen: &&Seen| {
+            let p = Self::in_camera(state, seen);
+            if p.z < NEAREST_M {
+                return f64::INFINITY;
+            }
+            let chi2 = residual(self.lens, &p, seen, self.how).0.norm_squared();
+            self.robust(chi2, seen).0
+        };
+        let half = if self.how.is(Slip::CostNotHalved) {
+            1.0
+        } else {
+            0.5
+        };
+        half * self
+            .how
+            .sum
+            .of(&self.seen.iter().map(one).collect::<Vec<_>>())
+    }
+
+    /// Column of each pose and of the first point, and how many there are.
+    fn columns(&self, state: &State) -> (Vec<Option<usize>>, usize, usize) {
+        let mut next = 0;
+        let mut column = |held: &bool| {
+            (!held).then(|| {
+                next += 6;
+                next - 6
+            })
+        };
+        let of_pose = self.held.iter().map(&mut column).collect();
+        let points = if self.points_held {
+            0
+        } else {
+            3 * state.points.len()
+        };
+        (of_pose, next, next + points)
+    }
+
+    /// Hessian and gradient.
+    fn equations(&self, state: &State) -> (DMatrix<f64>, DVector<f64>) {
+        let (of_pose, first_point, n) = self.columns(state);
+        let (mut h, mut g) = (DMatrix::zeros(n, n), DVector::zeros(n));
+        for seen in &self.seen {
+            let (pose, p_world) = (&state.poses[seen.pose], &state.points[seen.point]);
+            let (r, j) = residual(self.lens, &Self::in_camera(state, seen), seen, self.how);
+            let (_, weight) = self.robust(r.norm_squared(), seen);
+            // One derivative of three rows per column that the residual depends on.
+            let mut slopes: Vec<(usize, Vector3<f64>)> = Vec::new();
+            if let Some(first) = of_pose[seen.pose] {
+                let j = by_pose(&j, pose, p_world, self.how);
+                slopes.extend((0..6).map(|k| (first + k, j.column(k).into())));
+            }
+            if !self.points_held {
+                let j = j * pose.rotation;
+                let first = first_point + 3 * seen.point;
+                slopes.extend((0..3).map(|k| (first + k, j.column(k).into())));
+            }
+            let of_gradient = match self.how.is(Slip::JacobianNotWeighted) {
+                true => weight.sqrt(),
+                false => weight,
+            };
+            for (a, slope) in &slopes {
+                g[*a] += of_gradient * slope.dot(&r);
+                for (b, other) in &slopes {
+                    h[(*a, *b)] += weight * slope.dot(other);
+                }
+            }
+        }
+        (h, g)
+    }
+
+    fn moved(&self, state: &State, step: &DVector<f64>) -> State {
+        let (of_pose, first_point, _) = self.columns(state);
+        let mut state = state.clone();
+        for (pose, first) in state.poses.iter_mut().zip(of_pose) {
+            if let Some(first) = first {
+                let xi: Vector6<f64> = step.fixed_rows::<6>(first).into();
+                let (shift, w) = (
+                    xi.fixed_rows::<3>(0).into_owned(),
+                    xi.fixed_rows::<3>(3).into_owned(),
+                );
+                let turned = turn(&w);
+                pose.rotation = turned * pose.rotation;
+                pose.shift = turned * pose.shift + shift;
+            }
+        }
+        if !self.points_held {
+            for (i, point) in state.points.iter_mut().enumerate() {
+                *point += step.fixed_rows::<3>(first_point + 3 * i);
+            }
+        }
+        state
+    }
+
+    /// Levenberg-Marquardt until nothing moves; cost before and after.
+    fn minimise(&self, start: State) -> (State, f64, f64) {
+        let first = self.cost(&start);
+        let (mut state, mut cost, mut damping) = (start, first, 1e-4);
+        let (mut h, mut g) = self.equations(&state);
+        for _ in 0..400 {
+            let mut damped = h.clone();
+            for i in 0..damped.nrows() {
+                damped[(i, i)] += damping * h[(i, i)].max(1e-9);
+            }
+            let Some(solved) = damped.cholesky() else {
+                damping *= 10.0;
+                continue;
+            };
+            let step = -solved.solve(&g);
+            let next = self.moved(&state, &step);
+            let next_cost = self.cost(&next);
+            if next_cost <= cost {
+                (state, cost, damping) = (next, next_cost, (damping * 0.1).max(1e-15));
+                (h, g) = self.equations(&state);
+            } else {
+                damping *= 10.0;
+            }
+            if step.norm() < 1e-13 || damping > 1e9 {
+                break;
+            }
+        }
+        (state, first, cost)
+    }
+}
+
+fn put_poses(out: &mut Out, case: &Case, poses: &[Pose]) {
+    let (mut rotations, mut shifts) = (Vec::new(), Vec::new());
+    for pose in poses {
+        rotations.extend(pose.rotation.transpose().iter());
+        shifts.extend(pose.shift.iter());
+    }
+    put_f64(out, case, "rotation", &rotations);
+    put_f64(out, case, "translation", &shifts);
+}
+
+fn start(case: &Case, points: &str) -> State {
+    let of = |name: &str| case.input(name).f64();
+    let poses = matrices(&of("rotation_initial")).into_iter();
+    let poses = poses.zip(vectors(&of("translation_initial")));
+    State {
+        poses: poses
+            .map(|(rotation, shift)| Pose { rotation, shift })
+            .collect(),
+        points: vectors(&of(points)),
+    }
+}
+
+pub(super) fn pose(case: &Case, how: &How, out: &mut Out) {
+    let lens = Lens::of(case);
+    let initial = start(case, "p_world");
+    let n = initial.points.len();
+    let own: Vec<usize> = (0..n).flat_map(|i| [0, i]).collect();
+    let seen = observations(case, &own, how);
+    let knees = ["chi2_2d", "chi2_3d"].map(|name| case.param_f64(name));
+    let chi2 = |state: &State, i: usize| {
+        let p = Problem::in_camera(state, &seen[i]);
+        match p.z < NEAREST_M {
+            true => f64::INFINITY,
+            false => residual(&lens, &p, &seen[i], how).0.norm_squared(),
+        }
+    };
+    let rounds = if n < 10 {
+        1
+    } else {
+        case.param_usize("rounds")
+    };
+    let (mut state, mut inlier) = (initial.clone(), vec![true; n]);
+    let (mut first, mut cost) = (None, 0.0);
+    for round in 0..rounds {
+        // ORB-SLAM's rounds: each from the start, the last without a kernel.
+        let begin = initial.clone();
+        let used = (0..n).filter(|&i| inlier[i] && chi2(&begin, i).is_finite());
+        let problem = Problem {
+            lens: &lens,
+            seen: used.map(|i| &seen[i]).collect(),
+            held: vec![false],
+            points_held: true,
+            knee: (round <= 2 && !how.is(Slip::NoKernel)).then_some(knees),
+            how,
+        };
+        let (solved, before, after) = problem.minimise(begin);
+        (state, cost) = (solved, after);
+        first = first.or(Some(before));
+        for i in 0..n {
+            let gate = match seen[i].rows() {
+                3 if !how.is(Slip::GateOfTwo) => knees[1],
+                _ => knees[0],
+            };
+            let inside = chi2(&state, i) <= gate;
+            inlier[i] = match how.is(Slip::OutliersForGood) {
+                true => inlier[i] && inside,
+                false => inside,
+            };
+        }
+    }
+    put_f64(out, case, "cost_initial", &[first.unwrap_or_default()]);
+    put_f64(out, case, "cost", &[cost]);
+    if how.is(Slip::PoseInverted) {
+        let rotation = state.poses[0].rotation.transpose();
+        let shift = -(rotation * state.poses[0].shift);
+        state.poses[0] = Pose { rotation, shift };
+    }
+    put_poses(out, case, &state.poses);
+    let flags: Vec<f64> = inlier.iter().map(|i| f64::from(u8::from(*i))).collect();
+    put_f64(out, case, "inlier", &flags);
+}
+
+pub(super) fn bundle(case: &Case, how: &How, out: &mut Out) {
+    let lens = Lens::of(case);
+    let initial = start(case, "points_initial");
+    let of: Vec<usize> = (case.input("observed").i64().iter())
+        .map(|i| usize::try_from(*i).expect("an index"))
+        .collect();
+    let seen = observations(case, &of, how);
+    let fixed: Vec<bool> = case.input("fixed").u8().iter().map(|f| *f == 1).collect();
+    let used = seen.iter().filter(|s| {
+        let of_fixed = how.is(Slip::FixedViewsDropped) && fixed[s.pose];
+        !of_fixed && Problem::in_camera(&initial, s).z >= NEAREST_M
+    });
+    let problem = Problem {
+        lens: &lens,
+        seen: used.collect(),
+        held: match how.is(Slip::GaugeNotFixed) {
+            true => vec![false; fixed.len()],
+            false => fixed.clone(),
+        },
+        points_held: how.is(Slip::PointsHeld),
+        knee: (!how.is(Slip::NoKernel)).then(|| ["chi2_2d", "chi2_3d"].map(|k| case.param_f64(k))),
+        how,
+    };
+    let (state, before, after) = problem.minimise(initial);
+    put_f64(out, case, "cost_initial", &[before]);
+    put_f64(out, case, "cost", &[after]);
+    put_poses(out, case, &state.poses);
+    let points: Vec<f64> = state
+        .points
+        .iter()
+        .flat_map(|p| p.iter().copied())
+        .collect();
+    put_f64(out, case, "points", &points);
+}
