@@ -68,7 +68,7 @@ fn every_case_is_listed_with_its_basis() {
     assert_eq!(code, 0, "{text}");
     let list: Value = serde_json::from_str(&text).expect("JSON");
     let list = list.as_array().expect("a list");
-    assert_eq!(list.len(), 4, "{text}");
+    assert_eq!(list.len(), 5, "{text}");
     assert_eq!(list[0]["outputs"][0]["tolerance"], "lk.residual", "{text}");
 }
 

@@ -140,3 +140,43 @@ make("shift", 31, (200, 150), [[1, 0, 3.4], [0, 1, -2.7]], 1.0, "a translation o
 make("turn", 32, (200, 150), [[0.9998, -0.0175, 2.0], [0.0175, 0.9998, -3.0]], 1.0, "one degree: every point moves otherwise")
 make("still", 33, (160, 120), [[1, 0, 0], [0, 1, 0]], 1.0, "no motion: the first step must end it")
 make("brighter", 34, (160, 120), [[1, 0, 0.6], [0, 1, 0.3]], 1.1, "residuals that are not 0")
+
+
+def make_faint(name, seed, why):
+    """Squares 1 to 6 grey levels brighter than the rest, moved by whole pixels. At a corner the smallest eigenvalue
+    goes with the square of that step, and passes the gate of 1e-4 between steps of 1 and of 4 levels."""
+    rng = np.random.default_rng(seed)
+    prev, following = (np.full((150, 200), 128, np.uint8) for _ in range(2))
+    corners = []
+    for k in range(24):
+        x, y, step = 14 + 30 * (k % 6), 14 + 34 * (k // 6), 1 + k % 6
+        prev[y:y + 14, x:x + 14] += np.uint8(step)
+        following[y - 1:y + 13, x + 1:x + 15] += np.uint8(step)
+        corners.append([x + [0, 14, 0, 14][k // 6], y + [0, 0, 14, 14][k // 6]])
+    corners = np.array(corners) + rng.uniform(-2.5, 2.5, (len(corners), 2))
+    others = np.array([[195, 5], [195, 75], [-12, 50], [212, 20], [30, -11.5], [30, 159], [1e6, 3], [100, 148]])
+    points = np.vstack([corners, others]).astype(F)
+    opencv, status, error = cv2.calcOpticalFlowPyrLK(prev, following, points, None, winSize=(WINDOW, WINDOW), maxLevel=LEVELS)
+    a, b = levels_of(prev), levels_of(following)
+    found = [follow(a, b, p) for p in points]
+    assert [f[0] for f in found] == status.ravel().tolist(), "the definition agrees with OpenCV on who is lost"
+    n = len(corners)
+    kept = status.ravel()[:n] == 1
+    assert 6 <= kept.sum() <= n - 6, "both sides of the gate"
+    distance = np.abs(np.array([f[1] for f in found[:n]]) - opencv[:n]).max(1)
+    print(f"{name}: {n} corners, {kept.sum()} tracked; definition - OpenCV: max {distance.max():.1e} px")
+    write_case(
+        "lk", name, basis="opencv", why=why, script="gen/lk.py", seed=seed, params={"levels": LEVELS},
+        inputs={"prev": (prev, "1"), "next": (following, "1"), "points": (points, "px")},
+        outputs={
+            "status": (status.ravel(), "1", "exact"),
+            "xy": (np.array([f[1] for f in found[:n]], F), "px", "lk.xy"),
+            "xy_opencv": (opencv[:n], "px", "lk.xy_opencv"),
+            "residual": (np.array([f[2] for f in found[:n]], F), "1", "lk.residual"),
+            # OpenCV leaves the error of lost points as it found it.
+            "residual_opencv": (np.where(kept, error.ravel()[:n], 0).astype(F), "1", "lk.residual_opencv"),
+        },
+    )
+
+
+make_faint("faint", 35, "texture of a few grey levels: both sides of the gate on the smallest eigenvalue")
