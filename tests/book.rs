@@ -369,6 +369,87 @@ fn number_after(text: &str, words: &str) -> f64 {
     number.unwrap_or_else(|_| panic!("no number after {words:?}:\n{text}"))
 }
 
+/// The numbers in a text. Superscripts stand for themselves, ½ for 0.5.
+fn numbers(text: &str) -> Vec<f64> {
+    let mut plain = String::new();
+    let mut raised = false;
+    for c in text.replace('½', " 0.5 ").chars() {
+        let digit = "⁰¹²³⁴⁵⁶⁷⁸⁹".chars().position(|s| s == c);
+        if raised != digit.is_some() {
+            plain.push(' ');
+        }
+        raised = digit.is_some();
+        match digit {
+            Some(d) => plain.push_str(&d.to_string()),
+            None => plain.push(c),
+        }
+    }
+    let word = |c: char| !(c.is_alphanumeric() || ".-_".contains(c));
+    let mut found = Vec::new();
+    for word in plain.split(word) {
+        // A minus belongs to an exponent or to nothing.
+        let whole = word.trim_matches(['-', '.']).parse::<f64>();
+        match whole {
+            Ok(number) => found.push(number.abs()),
+            Err(_) => {
+                let parts = word.split('-');
+                found.extend(parts.filter_map(|part| part.trim_matches('.').parse::<f64>().ok()));
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn numbers_are_found() {
+    let text = "T < 1e-4, 0.01² px, 2⁻²⁰, ½ of x_3, 16-bit, (2y2) k = -5..5.";
+    let expected = [1e-4, 0.01, 2.0, 2.0, 20.0, 0.5, 16.0];
+    let found = numbers(text);
+    assert!(
+        expected.iter().all(|e| found.contains(e)) && !found.contains(&3.0),
+        "{found:?}"
+    );
+}
+
+/// Python without its strings of several lines and its comments.
+fn code_of(python: &str) -> String {
+    let outside = python.split("\"\"\"").step_by(2);
+    let lines = outside.flat_map(str::lines);
+    let code = lines.filter_map(|line| line.split('#').next());
+    code.collect::<Vec<_>>().join("\n")
+}
+
+/// The port in numpy is written by the book alone: each of its thresholds, factors and taps stands in the chapters
+/// that its file belongs to. Numbers below 10 without a fraction are indices as often as not.
+#[test]
+fn the_book_states_every_number_of_the_example_port() {
+    let mut problems = Vec::new();
+    for (file, named) in [
+        ("harmonics", ["splatting", "backward"]),
+        ("splats", ["splatting", "backward"]),
+        ("render", ["splatting", "backward"]),
+        ("losses", ["losses", "losses"]),
+        ("adam", ["training", "training"]),
+        ("train", ["training", "losses"]),
+        ("flow", ["lucas_kanade", "features"]),
+    ] {
+        let stated: Vec<f64> = named
+            .iter()
+            .flat_map(|chapter| numbers(&read(&source().join(format!("{chapter}.md")))))
+            .collect();
+        let path = root().join(format!("examples/adapter_numpy/{file}.py"));
+        let used = numbers(&code_of(&read(&path)));
+        assert!(used.len() > 3, "{file}: {used:?}");
+        for number in used {
+            let small = number < 10.0 && number.fract().abs() < f64::EPSILON;
+            if !small && !stated.iter().any(|s| s.total_cmp(&number).is_eq()) {
+                problems.push(format!("{file}.py has {number}, its chapters do not"));
+            }
+        }
+    }
+    none(&problems);
+}
+
 #[test]
 fn the_examples_run_and_say_what_they_should() {
     let text = run_example("track_two_frames", &[]);

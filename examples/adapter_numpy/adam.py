@@ -1,4 +1,4 @@
-"""Adam (docs/math.md O6)."""
+"""Adam (the book: training.md)."""
 
 import numpy as np
 

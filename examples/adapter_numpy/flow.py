@@ -1,4 +1,4 @@
-"""Pyramidal Lucas-Kanade (docs/math.md E14), all points at once.
+"""Pyramidal Lucas-Kanade (the book: lucas_kanade.md, features.md), all points at once.
 
 Grey levels are interpolated with weights of 14 bits and kept as 32 times the level in whole numbers, slopes
 likewise; the sums over the window are of integers and have no order. The rest is float32.
@@ -7,7 +7,8 @@ likewise; the sums over the window are of integers and have no order. The rest i
 import numpy as np
 
 F = np.float32
-WINDOW, PAD, ITERATIONS, ENOUGH_PX, LEAST = 21, 24, 30, 0.01, F(1e-4)
+WINDOW, ITERATIONS, ENOUGH_PX, LEAST = 21, 30, 0.01, F(1e-4)
+PAD = WINDOW + 3        # pixels kept around a level
 HALF = F((WINDOW - 1) / 2)
 
 

@@ -1,4 +1,4 @@
-"""Colour by spherical harmonics (docs/math.md R7, R19). Each function is a polynomial, a list of
+"""Colour by spherical harmonics (the book: splatting.md, backward.md). Each function is a polynomial, a list of
 (coefficient, power of x, of y, of z); its gradient follows from that."""
 
 import numpy as np

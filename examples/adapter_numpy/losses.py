@@ -1,4 +1,4 @@
-"""Training losses with their gradients (docs/math.md O1 to O5)."""
+"""Training losses with their gradients (the book: losses.md)."""
 
 import numpy as np
 

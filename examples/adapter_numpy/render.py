@@ -1,4 +1,4 @@
-"""From splats to pictures and back (docs/math.md R8 to R14). Every splat meets every pixel: no tiles, no
+"""From splats to pictures and back (the book: splatting.md, backward.md). Every splat meets every pixel: no tiles, no
 early way out, sums over whole pictures in numpy's order."""
 
 import numpy as np

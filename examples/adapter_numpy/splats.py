@@ -1,4 +1,4 @@
-"""From Gaussians to splats and back (docs/math.md R1 to R7, R15 to R20). Arrays over all Gaussians; nothing is
+"""From Gaussians to splats and back (the book: splatting.md, backward.md). Arrays over all Gaussians; nothing is
 formed that loses digits in float32."""
 
 import numpy as np

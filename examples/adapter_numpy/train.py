@@ -1,4 +1,4 @@
-"""Whole training iterations: render, losses, backward, Adam."""
+"""Whole training iterations (the book: training.md): render, losses, backward, Adam."""
 
 import numpy as np
 
