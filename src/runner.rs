@@ -4,11 +4,12 @@ use std::io::{Read, Write};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use garad_core::{Camera, GaussianMap, Label, MaskImage, Par, RgbImage, StampedPose};
+use garad_core::{Camera, FrameId, GaussianMap, Label, MaskImage, Par, RgbImage, StampedPose};
 use garad_eval::{Confusion, RunLabels};
+use garad_slam::labels::frame::FrameLabels;
 use garad_slam::mapper::train::TrainStep;
 use garad_slam::session::{SectionReader, SectionWriter};
-use garad_slam::{Config, FrameInput, FrameReport, SessionError, Slam, TrackingState};
+use garad_slam::{Config, FrameInput, FrameReport, SecondSight, SessionError, Slam, TrackingState};
 
 use crate::packed_labels::PackedLabels;
 use crate::progress::Progress;
@@ -391,6 +392,8 @@ struct Collected {
     stopwatch: Stopwatch,
     snapshots: Vec<Snapshot>,
     judged: RunLabels,
+    /// True masks of the first frames, while the run may still begin again.
+    early_truth: Vec<(FrameId, MaskImage)>,
     found: Vec<PackedLabels>,
     costs: Vec<FrameCost>,
     refined: Vec<TrainStep>,
@@ -405,6 +408,7 @@ impl Collected {
             stopwatch,
             snapshots: _, // of one part only
             judged,
+            early_truth,
             found,
             costs,
             refined: _, // only after the last frame
@@ -413,6 +417,7 @@ impl Collected {
         to.put("skipped", skipped)?;
         to.put("stopwatch", stopwatch)?;
         to.put("judged", judged)?;
+        to.put("early_truth", early_truth)?;
         to.put("found", found)?;
         to.put("costs", costs)
     }
@@ -422,6 +427,7 @@ impl Collected {
         self.skipped = from.take("skipped")?;
         self.stopwatch = from.take("stopwatch")?;
         self.judged = from.take("judged")?;
+        self.early_truth = from.take("early_truth")?;
         self.found = from.take("found")?;
         self.costs = from.take("costs")?;
         Ok(())
@@ -443,6 +449,10 @@ impl Collected {
         let tracked = begun.elapsed().saturating_sub(waited);
         self.stopwatch.record("frame", tracked);
         self.keep_labels(slam, frame, &report);
+        if let Some(truth) = frame.truth.clone().filter(|_| slam.may_begin_again()) {
+            self.early_truth.push((report.id, truth));
+        }
+        self.correct(&slam.take_second_sight(), frame.rgb.size());
         self.costs.push(FrameCost {
             frame: report.id.0,
             tracking_ms: tracked.as_secs_f64() * 1e3,
@@ -452,38 +462,80 @@ impl Collected {
         Ok(report)
     }
 
+    /// Puts what came of the first frames when they were seen again in the place of what was said
+    /// of them before.
+    fn correct(&mut self, again: &[SecondSight], size: (usize, usize)) {
+        for SecondSight { report, labels } in again {
+            if let Some(before) = self.frames.iter_mut().find(|f| f.id == report.id) {
+                *before = *report;
+            }
+            let Some(found) = labels else { continue };
+            let after = self.found.partition_point(|f| f.frame < found.frame);
+            match self.found.get_mut(after) {
+                Some(before) if before.frame == found.frame => *before = PackedLabels::new(found),
+                _ => self.found.insert(after, PackedLabels::new(found)),
+            }
+            let judged = self.judged.frames.iter_mut();
+            let truth = self.early_truth.iter().find(|(id, _)| *id == report.id);
+            for before in judged.filter(|j| j.t_s.total_cmp(&report.t_s).is_eq()) {
+                if let Some((_, truth)) = truth {
+                    *before = judge_found(found, report.t_s, size, truth);
+                }
+            }
+        }
+        if !again.is_empty() {
+            self.early_truth.clear();
+        }
+    }
+
     /// Keeps what was found to move, and judges it. A frame in which nothing was found, because it
     /// is one of the first or because the camera is lost, counts as one where nothing moves.
     fn keep_labels(&mut self, slam: &Slam, frame: &SourceFrame, report: &FrameReport) {
         let on = slam.config().labels.enabled && frame.mask.is_none();
         if let (true, Some(truth)) = (on, &frame.truth) {
-            let (keypoints, mask) = match slam.frame_labels() {
-                Some(found) => (
-                    found
-                        .keypoints
-                        .iter()
-                        .map(|(px, label)| (*px, *label == Label::Dynamic))
-                        .collect(),
-                    found.mask(frame.rgb.size()),
-                ),
-                None => {
-                    let (width, height) = frame.rgb.size();
+            let size = frame.rgb.size();
+            let judged = slam.frame_labels().map_or_else(
+                || {
                     let last = slam.last_frame().filter(|l| l.id == report.id);
                     let px = last.map_or(&[][..], |l| &l.px);
-                    (
-                        px.iter().map(|p| ([p.x, p.y], false)).collect::<Vec<_>>(),
-                        MaskImage::new(width, height, 0),
+                    let keypoints = px.iter().map(|p| ([p.x, p.y], false)).collect();
+                    judge(
+                        keypoints,
+                        &MaskImage::new(size.0, size.1, 0),
+                        report.t_s,
+                        truth,
                     )
-                }
-            };
-            self.judged.frames.push(garad_eval::FrameLabels {
-                t_s: report.t_s,
-                keypoints: Some(Confusion::of_keypoints(keypoints, truth)),
-                pixels: Confusion::of_masks(&mask, truth).ok(),
-            });
+                },
+                |found| judge_found(found, report.t_s, size, truth),
+            );
+            self.judged.frames.push(judged);
         }
         self.found
             .extend(slam.frame_labels().map(PackedLabels::new));
+    }
+}
+
+fn judge_found(
+    found: &FrameLabels,
+    t_s: f64,
+    size: (usize, usize),
+    truth: &MaskImage,
+) -> garad_eval::FrameLabels {
+    let moves = |(px, label): &([f64; 2], Label)| (*px, *label == Label::Dynamic);
+    let keypoints = found.keypoints.iter().map(moves).collect();
+    judge(keypoints, &found.mask(size), t_s, truth)
+}
+
+fn judge(
+    keypoints: Vec<([f64; 2], bool)>,
+    mask: &MaskImage,
+    t_s: f64,
+    truth: &MaskImage,
+) -> garad_eval::FrameLabels {
+    garad_eval::FrameLabels {
+        t_s,
+        keypoints: Some(Confusion::of_keypoints(keypoints, truth)),
+        pixels: Confusion::of_masks(mask, truth).ok(),
     }
 }
 

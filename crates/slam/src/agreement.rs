@@ -14,7 +14,7 @@
 
 use garad_core::{KeyframeId, LandmarkId, Se3};
 use garad_optim::dense::{Dense, Problem, Visitor};
-use garad_optim::lm::minimise;
+use garad_optim::lm::{Model, minimise};
 use garad_optim::pose::PoseProblem;
 use garad_optim::{LmConfig, PoseObservation, RobustKernel};
 use nalgebra::{Matrix1x6, SVector, Vector6};
@@ -77,14 +77,7 @@ impl Slam {
             })
         });
         let observations: Vec<_> = observations.collect();
-        let bf = self.config.tracking.bf;
-        let agreement = Agreement {
-            slam: self,
-            surface,
-            then: &then,
-            links: PoseProblem::new(&self.camera, bf, None, observations.clone()),
-            offset_kernel: RobustKernel::None,
-        };
+        let agreement = Agreement::new(self, surface, &then, observations.clone());
         let before = frame.camera_from_world;
         let (pose, cost) = agreement.minimise(before);
         self.tape.put("agreement", |page| {
@@ -129,7 +122,7 @@ impl Slam {
 }
 
 /// F.
-struct Agreement<'a> {
+pub(crate) struct Agreement<'a> {
     slam: &'a Slam,
     surface: &'a Surface,
     then: &'a [(&'a Surface, &'a Se3)],
@@ -137,9 +130,43 @@ struct Agreement<'a> {
     offset_kernel: RobustKernel,
 }
 
-impl Agreement<'_> {
+impl<'a> Agreement<'a> {
+    /// F at its final width, for a depth picture, those of before and where they were taken, and
+    /// observations without their depth.
+    pub(crate) fn new(
+        slam: &'a Slam,
+        surface: &'a Surface,
+        then: &'a [(&'a Surface, &'a Se3)],
+        observations: Vec<PoseObservation>,
+    ) -> Self {
+        let bf = slam.config.tracking.bf;
+        let mut agreement = Self {
+            slam,
+            surface,
+            then,
+            links: PoseProblem::new(&slam.camera, bf, None, observations),
+            offset_kernel: RobustKernel::None,
+        };
+        agreement.set_width(1.0);
+        agreement
+    }
+
+    /// F of a pose that may be far off: planes that fall beside those of before cost as much as the
+    /// farthest outlier. Without that, to look the other way would cost nothing.
+    pub(crate) fn price(&self, pose: &Se3) -> f64 {
+        let beside = |(then, then_from_world): &(&Surface, &Se3)| {
+            let camera = &self.slam.camera;
+            let offsets = self.surface.offsets(pose, then, then_from_world, camera);
+            self.surface.planes() - offsets.count()
+        };
+        let beside: usize = self.then.iter().map(beside).sum();
+        // sup ρ = c² of Geman and McClure's kernel
+        let c = self.share() * self.slam.config.surface.outlier_sigmas;
+        Dense(self).cost(pose) + 0.5 * c * c * beside as f64
+    }
+
     /// The minimum next to a pose, and F there.
-    fn minimise(mut self, start: Se3) -> (Se3, f64) {
+    pub(crate) fn minimise(mut self, start: Se3) -> (Se3, f64) {
         let lm = LmConfig {
             iterations: TRIALS,
             ..LmConfig::default()

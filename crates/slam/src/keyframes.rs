@@ -104,7 +104,7 @@ impl Slam {
             }
             self.witnesses.insert(id, witness);
             self.forget_witnesses(frame_id);
-            if frame_id.0 >= self.config.labels.bootstrap_frames {
+            if self.knows_what_moves(frame_id) {
                 labels = self.label_landmarks(id);
             }
             observer.end(Stage::LabelMap);

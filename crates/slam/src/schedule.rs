@@ -82,6 +82,13 @@ impl Schedule {
         }
     }
 
+    /// Takes over who listens to another schedule, which is at an end.
+    pub(crate) fn listen_as(&mut self, other: Self) {
+        if let Worker::Here(crew, _) = other.worker {
+            self.observe(crew.observer);
+        }
+    }
+
     /// The mapper, while it is at rest.
     pub(crate) fn mapper(&self) -> Option<&Mapper> {
         match &self.worker {

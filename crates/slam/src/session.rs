@@ -122,6 +122,9 @@ impl Slam {
             lattice: _, // from the camera
             crf: _,     // from the configuration
             frame_labels,
+            opening,
+            foresight: _,    // within one frame
+            second_sight: _, // taken after the frame
             schedule,
             mapped,
             state,
@@ -150,6 +153,7 @@ impl Slam {
         to.put("last_pyramid", &last_pyramid.as_deref())?;
         to.put("witnesses", witnesses)?;
         to.put("frame_labels", frame_labels)?;
+        to.put("opening", opening)?;
         to.put("mapped", mapped)?;
         to.put("state", state)?;
         to.put("recovered_at", recovered_at)?;
@@ -189,6 +193,9 @@ impl Slam {
             lattice: _,
             crf: _,
             frame_labels,
+            opening,
+            foresight: _,
+            second_sight: _,
             schedule,
             mapped,
             state,
@@ -217,6 +224,7 @@ impl Slam {
             .map(Arc::new);
         *witnesses = from.take("witnesses")?;
         *frame_labels = from.take("frame_labels")?;
+        *opening = from.take("opening")?;
         *mapped = from.take("mapped")?;
         *state = from.take("state")?;
         *recovered_at = from.take("recovered_at")?;

@@ -107,6 +107,11 @@ impl Surface {
         self
     }
 
+    /// How many planes there are.
+    pub(crate) fn planes(&self) -> usize {
+        self.patches.iter().flatten().count()
+    }
+
     /// The plane at a recorded pixel.
     #[allow(
         clippy::cast_possible_truncation,

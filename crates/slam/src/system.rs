@@ -22,6 +22,7 @@ use crate::map::Map;
 use crate::mapper::train::{TrainError, TrainStep};
 use crate::mapper::{Mapper, MappingDone};
 use crate::observer::{Observer, Stage};
+use crate::opening::{Foresight, Opening, SecondSight};
 use crate::schedule::{MappingObserver, Schedule};
 use crate::trace::{Tape, TraceRecord};
 use crate::tracker::TrackingState;
@@ -136,6 +137,11 @@ pub struct Slam {
     pub(crate) crf: Crf,
     /// What moves in the last tracked frame.
     pub(crate) frame_labels: Option<FrameLabels>,
+    /// The first frames, until it is known whether the run must begin again.
+    pub(crate) opening: Option<Opening>,
+    /// Depth of frames yet to come, while the run begins again.
+    pub(crate) foresight: Vec<Foresight>,
+    pub(crate) second_sight: Vec<SecondSight>,
     pub(crate) schedule: Schedule,
     /// What became of every keyframe's job.
     pub(crate) mapped: Vec<MappingDone>,
@@ -192,6 +198,8 @@ impl Slam {
         let lattice = Lattice::new(&camera, config.labels.step_px);
         let crf = Crf::new(config.crf.clone()).map_err(ConfigError::from)?;
         let mapper = Mapper::new(&camera, &config, seed, par)?;
+        let labels = &config.labels;
+        let opening = (labels.enabled && labels.second_sight).then(Opening::default);
         let beside = par.threads() > 1;
         let schedule = Schedule::new(mapper, config.schedule.handover_frames, beside);
         Ok(Self {
@@ -215,6 +223,9 @@ impl Slam {
             lattice,
             crf,
             frame_labels: None,
+            opening,
+            foresight: Vec::new(),
+            second_sight: Vec::new(),
             schedule,
             mapped: Vec::new(),
             state: TrackingState::NotInitialised,
@@ -263,6 +274,9 @@ impl Slam {
     /// Takes the next frame through tracking and, if it is kept, starts its mapping. Mapping jobs
     /// that are due are taken over first.
     ///
+    /// After the last frame of the bootstrap the run may begin again, in this call
+    /// ([`Slam::take_second_sight`]).
+    ///
     /// A frame that cannot be tracked is not an error: the state turns to
     /// [`TrackingState::Lost`], and later frames are looked for among the keyframes.
     ///
@@ -270,6 +284,16 @@ impl Slam {
     /// [`SlamError::SizeMismatch`] or [`SlamError::Features`]; the state before the frame stays,
     /// and the next frame may be given. [`SlamError::MappingLost`].
     pub fn process(
+        &mut self,
+        input: &FrameInput<'_>,
+        observer: &mut dyn Observer,
+    ) -> Result<FrameReport, SlamError> {
+        let report = self.advance(input, observer)?;
+        self.see_again(report, observer)
+    }
+
+    /// [`Slam::process`] without looking back.
+    pub(crate) fn advance(
         &mut self,
         input: &FrameInput<'_>,
         observer: &mut dyn Observer,
@@ -315,9 +339,17 @@ impl Slam {
             self.tape.put("surface", |page| page.surface(surface));
         }
 
+        if input.mask.is_some() || self.localising {
+            self.opening = None;
+        } else if let Some(opening) = &mut self.opening {
+            opening.take(input, &frame);
+        }
         let mut cells = None;
         let inliers = match self.state {
-            TrackingState::NotInitialised => self.initialise(&mut frame),
+            TrackingState::NotInitialised => {
+                cells = self.label_frame(&mut frame, input.depth);
+                self.initialise(&mut frame)
+            }
             TrackingState::Tracking | TrackingState::Lost => {
                 self.track(&mut frame, pyramid.as_deref(), input, &mut cells, observer)
             }

@@ -136,6 +136,11 @@ impl Tape {
         self.frames = Some(frames);
     }
 
+    /// What is written down.
+    pub(crate) fn frames(&self) -> Option<RangeInclusive<u32>> {
+        self.frames.clone()
+    }
+
     /// What follows belongs to this frame.
     pub(crate) fn turn_to(&mut self, frame: FrameId) {
         let watched = self.frames.as_ref().is_some_and(|f| f.contains(&frame.0));

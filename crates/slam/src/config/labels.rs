@@ -25,8 +25,10 @@ pub(super) fn crf_default() -> CrfConfig {
 pub struct LabelConfig {
     /// Off (`--without crf`): everything is static, unless a mask is given.
     pub enabled: bool,
-    /// Everything is static in the first frames.
+    /// Everything is static in the first frames, ...
     pub bootstrap_frames: u32,
+    /// ... unless the run begins again after them, when it has turned out that somebody moves there.
+    pub second_sight: bool,
     /// Keypoints this near to what a given mask says moves are not used, px; the photometric loss
     /// keeps as far from every mask.
     pub dilate_px: usize,
@@ -64,6 +66,7 @@ impl Default for LabelConfig {
         Self {
             enabled: true,
             bootstrap_frames: 10,
+            second_sight: true,
             dilate_px: 8,
             reach_px: 8,
             trust_young: 0.55,

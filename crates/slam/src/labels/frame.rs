@@ -100,7 +100,8 @@ impl Slam {
     /// everything, which is a wrong pose rather than a crowd.
     pub(crate) fn label_frame(&self, frame: &mut Frame, depth: &DepthImage) -> Option<MaskImage> {
         let config = &self.config.labels;
-        if frame.id.0 < config.bootstrap_frames || self.witnesses.is_empty() {
+        let nobody_knows = self.witnesses.is_empty() && self.foresight.is_empty();
+        if nobody_knows || !self.knows_what_moves(frame.id) {
             return None;
         }
         let keypoints = self.keypoint_samples(frame);
@@ -171,6 +172,11 @@ impl Slam {
         Some(cells)
     }
 
+    /// Whether it can be told what moves: not in the first frames, unless what comes is foreseen.
+    pub(crate) fn knows_what_moves(&self, frame: FrameId) -> bool {
+        frame.0 >= self.config.labels.bootstrap_frames || !self.foresight.is_empty()
+    }
+
     /// What a verdict says for the moving of a sample. That it stands where something stood a moment
     /// ago says little: a person takes a second to leave their own outline. That it stood there a
     /// second ago says a lot.
@@ -226,7 +232,7 @@ impl Slam {
             .concat()
     }
 
-    /// The witnesses of the last `memory_frames` frames, and where they stood.
+    /// The witnesses of the last `memory_frames` frames and those foreseen, and where they stood.
     pub(crate) fn court(&self, now: FrameId) -> Court<'_> {
         let oldest = now.0.saturating_sub(self.config.labels.memory_frames);
         let recent = self.witnesses.iter().filter_map(|(k, witness)| {
@@ -237,10 +243,15 @@ impl Slam {
                 age: now.0 - keyframe.id.0,
             })
         });
+        let foreseen = self.foresight.iter().map(|foresight| Statement {
+            witness: &foresight.witness,
+            camera_from_world: foresight.camera_from_world,
+            age: now.0.abs_diff(foresight.frame.0),
+        });
         Court {
             camera: &self.camera,
             noise: &self.config.labels.noise,
-            statements: recent.collect(),
+            statements: recent.chain(foreseen).collect(),
         }
     }
 

@@ -116,7 +116,7 @@ impl Witness {
 pub(crate) struct Statement<'a> {
     pub(crate) witness: &'a Witness,
     pub(crate) camera_from_world: Se3,
-    /// Frames since.
+    /// Frames between.
     pub(crate) age: u32,
 }
 
