@@ -138,6 +138,7 @@ impl Slam {
                 poses: self.keyframe_poses(),
                 moved,
                 new_landmarks: self.landmarks_born_in(id),
+                living: self.map.landmarks().map(|(l, _)| l).collect(),
                 iterations: train.per_keyframe + train.per_frame * since_last,
             };
             self.schedule.submit(job)?;

@@ -26,11 +26,11 @@ use garad_core::{
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use self::insert::{Picture, insert_landmarks, seed_from_depth};
+use self::insert::{Picture, insert_landmarks, seed_from_depth, untag_dropped};
 use self::relabel::{Relabelled, relabel};
 use self::train::{Pick, TrainError, TrainStep, Trainer};
 use self::view::TrainingView;
-use crate::config::Config;
+use crate::config::{Config, DensifyConfig};
 use crate::labels::witness::Witness;
 use crate::observer::{Observer, Stage};
 use crate::session::{SectionReader, SectionWriter, SessionError};
@@ -61,6 +61,8 @@ pub struct MappingJob {
     pub moved: Vec<Se3>,
     /// What the keyframe made.
     pub new_landmarks: Vec<NewLandmark>,
+    /// All landmarks that live, ascending: the tags of others are taken off.
+    pub living: Vec<LandmarkId>,
     /// Training iterations.
     pub iterations: usize,
 }
@@ -219,6 +221,7 @@ impl Mapper {
             let pose_of = |k: KeyframeId| poses.get(k.index()).copied().unwrap_or_default();
             self.trainer.thin_views(train.max_views, pose_of);
         }
+        let grow = self.config.densify.clone();
         for i in 0..job.iterations {
             // Half of the time is the newest keyframe's: it is what the map knows least about.
             let pick = if i % 2 == 0 {
@@ -227,7 +230,7 @@ impl Mapper {
                 Pick::Shuffled
             };
             observer.begin(Stage::Train);
-            let step = self.step(pick, true);
+            let step = self.step(pick, Some(&grow));
             observer.end(Stage::Train);
             match step {
                 Ok(Some(step)) => done.loss = Some(step.loss),
@@ -247,7 +250,7 @@ impl Mapper {
         done
     }
 
-    /// Gaussians where the map does not explain the keyframe yet, and one for each new landmark.
+    /// One Gaussian for each new landmark, and Gaussians where the map does not explain the keyframe yet.
     fn insert(&mut self, job: &MappingJob) {
         let Some(pose) = self.poses.get(job.keyframe.index()).copied() else {
             return;
@@ -258,16 +261,7 @@ impl Mapper {
             mask: job.mask.as_ref(),
         };
         let seed = &self.config.seed;
-        seed_from_depth(
-            &mut self.gaussians,
-            &picture,
-            &self.camera,
-            &pose,
-            job.keyframe,
-            seed,
-            self.config.features.max_depth_m,
-            self.par,
-        );
+        untag_dropped(&mut self.gaussians, &job.living);
         if seed.landmarks {
             insert_landmarks(
                 &mut self.gaussians,
@@ -279,6 +273,16 @@ impl Mapper {
                 seed,
             );
         }
+        seed_from_depth(
+            &mut self.gaussians,
+            &picture,
+            &self.camera,
+            &pose,
+            job.keyframe,
+            seed,
+            self.config.features.max_depth_m,
+            self.par,
+        );
     }
 
     /// Labels what the keyframe sees, and drops what has moved for a whole window.
@@ -307,8 +311,8 @@ impl Mapper {
     }
 
     /// Trains for so many iterations on all keyframes, then drops what has faded. `poses` are
-    /// those of the keyframes at the end; `on_step` is told of each iteration. Gaussians are cloned
-    /// and split in the first half only, so that the last ones have time to learn.
+    /// those of the keyframes at the end; `on_step` is told of each iteration. Gaussians of any age are
+    /// cloned and split, but in the first half only, so that the last ones have time to learn.
     ///
     /// # Errors
     /// [`TrainError`]; the map is then as it was after the last good iteration.
@@ -320,8 +324,13 @@ impl Mapper {
     ) -> Result<(), TrainError> {
         self.extent_m = extent_m(&poses);
         self.poses = poses;
+        let of_any_age = DensifyConfig {
+            young_keyframes: u32::MAX,
+            ..self.config.densify.clone()
+        };
         for i in 0..iterations {
-            match self.step(Pick::Shuffled, 2 * i < iterations)? {
+            let grow = (2 * i < iterations).then_some(&of_any_age);
+            match self.step(Pick::Shuffled, grow)? {
                 Some(step) => on_step(&step),
                 None => break,
             }
@@ -330,8 +339,12 @@ impl Mapper {
         self.trainer.prune(&mut self.gaussians, min_opacity)
     }
 
-    fn step(&mut self, pick: Pick, grow: bool) -> Result<Option<TrainStep>, TrainError> {
-        let grow = Some(&self.config.densify).filter(|config| grow && config.enabled);
+    fn step(
+        &mut self,
+        pick: Pick,
+        grow: Option<&DensifyConfig>,
+    ) -> Result<Option<TrainStep>, TrainError> {
+        let grow = grow.filter(|config| config.enabled);
         let poses = &self.poses;
         let pose_of = |k: KeyframeId| poses.get(k.index()).copied().unwrap_or_default();
         self.trainer.step(

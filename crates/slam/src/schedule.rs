@@ -279,6 +279,7 @@ mod tests {
             moved: Vec::new(),
             poses: vec![Se3::identity(); keyframe as usize + 1],
             new_landmarks: Vec::new(),
+            living: Vec::new(),
             iterations: 2,
         }
     }

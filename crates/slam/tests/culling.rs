@@ -1,4 +1,5 @@
 //! A camera that stays where it is learns nothing new: keyframes come and go, and the path does not mind.
+//! One that goes round a room a second time finds its Gaussians there.
 
 use garad_core::Par;
 use garad_eval::{AteOptions, ate};
@@ -87,4 +88,54 @@ fn a_place_costs_a_bounded_number_of_keyframes() {
     };
     let threaded = run(&scene, &frames, true, Par::Threads(3));
     assert_eq!(bits(&culled), bits(&threaded), "3 threads, same bits");
+}
+
+/// Frames a second, and of a lap of the room.
+const LAP_FPS: f64 = 5.0;
+const LAP: usize = 128;
+
+#[test]
+fn a_second_lap_adds_few_gaussians() {
+    let scene = Scene::new(&SceneConfig {
+        frames: 2 * LAP,
+        width: 160,
+        height: 120,
+        fps: LAP_FPS,
+        noise: true,
+        supersample: 1,
+        ..SceneConfig::new(SceneName::Loop)
+    })
+    .expect("valid scene");
+    let mut config = Config::default();
+    config.labels.enabled = false;
+    config.features.count = 300;
+    config.train.per_keyframe = 2;
+    config.train.per_frame = 0;
+    config.densify.every = 20;
+    config.densify.young_keyframes = 20;
+    let mut slam = Slam::new(scene.camera(), config, 0, Par::Threads(2)).expect("valid");
+    for i in 0..scene.len() {
+        let frame = scene.frame(i, Par::Threads(2));
+        let input = FrameInput {
+            t_s: frame.t_s,
+            rgb: &frame.rgb,
+            depth: &frame.depth,
+            mask: None,
+        };
+        slam.process(&input, &mut Silent).expect("a good frame");
+    }
+    slam.finish().expect("alive");
+    assert_eq!(slam.trajectory().len(), 2 * LAP, "every frame is tracked");
+    let jobs = slam.mapped();
+    let first_lap = jobs.iter().take_while(|job| (job.frame.0 as usize) < LAP);
+    let after_one = first_lap.last().expect("keyframes").gaussians;
+    let (start, end) = (jobs[0].gaussians, jobs[jobs.len() - 1].gaussians);
+    assert!(
+        after_one > 2 * start,
+        "the first lap: {start} to {after_one}"
+    );
+    assert!(
+        end < after_one * 23 / 20,
+        "the second lap: {after_one} to {end}"
+    );
 }

@@ -122,6 +122,10 @@ pub struct DensifyConfig {
     pub every: usize,
     /// Mean |∂L/∂ centre| from which a Gaussian is cloned or split, per unit of NDC.
     pub pull: f64,
+    /// Beside tracking, only Gaussians born in the last so many keyframes are cloned and split: a place
+    /// is refined when it is new, and then has what it needs. Refinement after the last frame knows no
+    /// age.
+    pub young_keyframes: u32,
     /// Those with a standard deviation above this share of the path's extent are split.
     pub split_extent: f64,
     /// Static Gaussians less opaque than this are dropped.
@@ -135,9 +139,10 @@ impl Default for DensifyConfig {
         Self {
             enabled: true,
             every: 100,
-            pull: 1e-3,
+            pull: 4e-4,
+            young_keyframes: 100,
             split_extent: 0.01,
-            min_opacity: 0.005,
+            min_opacity: 0.05,
             max_gaussians: 400_000,
         }
     }

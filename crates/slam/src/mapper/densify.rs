@@ -5,7 +5,7 @@
 //! is small, a second one beside it is missing: it is cloned. If it is large, it covers more than
 //! one thing: it is split in two.
 
-use garad_core::{Camera, GaussianMap, Label, Real, Rng, So3};
+use garad_core::{Camera, GaussianMap, KeyframeId, Label, Real, Rng, So3};
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -57,7 +57,8 @@ const CHILDREN: usize = 2;
 const SHRINK: f64 = 1.6;
 
 /// Appends clones and children to the map; the answer says for each Gaussian of before whether it
-/// was split and should go. Gaussians that move are left alone; `max_gaussians` is kept to.
+/// was split and should go. Gaussians that move are left alone, and so are those born before
+/// `young_from`; clones and children are as old as their parents. `max_gaussians` is kept to.
 ///
 /// Clones stand where their parent stands and part from it by their own gradients. Children are
 /// drawn from the parent's distribution, N(μ, R S² Rᵀ).
@@ -65,6 +66,7 @@ pub(crate) fn densify(
     map: &mut GaussianMap,
     watched: &Densifier,
     extent_m: f64,
+    young_from: KeyframeId,
     config: &DensifyConfig,
     rng: &mut Rng,
 ) -> Vec<bool> {
@@ -72,7 +74,8 @@ pub(crate) fn densify(
     let large = config.split_extent * extent_m;
     let mut split = vec![false; before];
     for i in 0..before {
-        if map.label[i] == Label::Dynamic || watched.mean(i) < config.pull {
+        let left_alone = map.label[i] == Label::Dynamic || map.born[i] < young_from;
+        if left_alone || watched.mean(i) < config.pull {
             continue;
         }
         if map.len() + CHILDREN > config.max_gaussians {
@@ -120,7 +123,7 @@ fn to_f32(v: f64) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use garad_core::{KeyframeId, NewGaussian};
+    use garad_core::NewGaussian;
 
     fn map(sigmas: &[f32]) -> GaussianMap {
         let mut map = GaussianMap::new(0);
@@ -163,7 +166,14 @@ mod tests {
         map.label[2] = Label::Dynamic;
         let config = DensifyConfig::default();
         let watched = pulled(3, [1.0, 0.0]);
-        let split = densify(&mut map, &watched, 1.0, &config, &mut Rng::new(1));
+        let split = densify(
+            &mut map,
+            &watched,
+            1.0,
+            KeyframeId(0),
+            &config,
+            &mut Rng::new(1),
+        );
         assert_eq!(split, [false, true, false], "the large static one goes");
         assert_eq!(map.len(), 3 + 1 + 2, "a clone and two children");
         assert_eq!(
@@ -193,6 +203,7 @@ mod tests {
             &mut full,
             &pulled(2, [1.0, 0.0]),
             1.0,
+            KeyframeId(0),
             &config,
             &mut Rng::new(1),
         );
@@ -203,10 +214,30 @@ mod tests {
             &mut calm,
             &weak,
             1.0,
+            KeyframeId(0),
             &DensifyConfig::default(),
             &mut Rng::new(1),
         );
         assert_eq!(calm.len(), 2, "nothing pulls");
+    }
+
+    #[test]
+    fn what_was_born_too_long_ago_is_left_alone() {
+        let mut map = map(&[0.005, 0.5, 0.5]);
+        map.born = [4, 3, 4].map(KeyframeId).to_vec();
+        let config = DensifyConfig::default();
+        let watched = pulled(3, [1.0, 0.0]);
+        let split = densify(
+            &mut map,
+            &watched,
+            1.0,
+            KeyframeId(4),
+            &config,
+            &mut Rng::new(1),
+        );
+        assert_eq!(split, [false, false, true], "the second is too old");
+        let born: Vec<_> = map.born.iter().map(|k| k.0).collect();
+        assert_eq!(born, [4, 3, 4, 4, 4, 4], "a clone and two children, as old");
     }
 
     #[test]

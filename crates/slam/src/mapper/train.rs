@@ -332,7 +332,10 @@ impl Trainer {
         config: &DensifyConfig,
     ) -> Result<(), TrainError> {
         let mut rng = Rng::keyed(self.seed, &[0x6772_6f77, self.iterations as u64]);
-        let split = densify(map, &self.densifier, extent_m, config, &mut rng);
+        let newest = self.views.last().map_or(0, |view| view.keyframe.0);
+        let young_from = KeyframeId(newest.saturating_sub(config.young_keyframes));
+        let watched = &self.densifier;
+        let split = densify(map, watched, extent_m, young_from, config, &mut rng);
         self.densifier = Densifier::default();
         let before = self.windows.len();
         self.extend(map.len());
