@@ -8,7 +8,7 @@
 //! | `report.html` | one page for people |
 //! | `labels/` | what was found to move: `keypoints.csv`, `masks/*.png` (a value per 4 x 4 pixels), `gaussians.csv` (counts per keyframe), `gaussians.ply` (all, with a label) |
 //! | `losses.csv` | loss of training: a row per mapping job (its last iteration) and per iteration of `--refine` |
-//! | `costs.csv` | per frame: milliseconds of tracking and of waiting for the map, memory in use (other on every run) |
+//! | `costs.csv` | per frame: milliseconds of tracking and of waiting for the map, memory in use, processor time of all threads since the start (other on every run) |
 //! | `pictures/` | input, render, depth and keypoints of a few frames |
 //! | `config.toml` | every number as used |
 
@@ -245,14 +245,16 @@ fn write_labels(out: &Path, result: &RunResult) -> Result<()> {
 
 /// Frame by frame, time and memory.
 fn costs(costs: &[FrameCost]) -> String {
-    let mut rows = String::from("frame,tracking_ms,waiting_ms,resident_mib\n");
+    let mut rows = String::from("frame,tracking_ms,waiting_ms,resident_mib,processor_ms\n");
     for cost in costs {
         let memory = cost.resident_mb.map(|m| format!("{m:.1}"));
+        let processor = cost.processor_ms.map(|p| format!("{p:.0}"));
         let (tracking_ms, waiting_ms) = (cost.tracking_ms, cost.waiting_ms);
         rows.push_str(&format!(
-            "{},{tracking_ms:.2},{waiting_ms:.2},{}\n",
+            "{},{tracking_ms:.2},{waiting_ms:.2},{},{}\n",
             cost.frame,
-            memory.unwrap_or_default()
+            memory.unwrap_or_default(),
+            processor.unwrap_or_default()
         ));
     }
     rows

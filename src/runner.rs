@@ -14,7 +14,7 @@ use garad_slam::{Config, FrameInput, FrameReport, SecondSight, SessionError, Sla
 use crate::packed_labels::PackedLabels;
 use crate::progress::Progress;
 use crate::session::Recording;
-use crate::stopwatch::{FrameCost, SharedStopwatch, Stopwatch, memory_mb};
+use crate::stopwatch::{FrameCost, SharedStopwatch, Stopwatch, memory_mb, processor_ms};
 
 /// A frame as the runner wants it.
 #[derive(Debug, Clone)]
@@ -458,6 +458,7 @@ impl Collected {
             tracking_ms: tracked.as_secs_f64() * 1e3,
             waiting_ms: waited.as_secs_f64() * 1e3,
             resident_mb: memory_mb("VmRSS:"),
+            processor_ms: processor_ms(),
         });
         Ok(report)
     }

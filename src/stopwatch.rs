@@ -85,6 +85,9 @@ pub struct FrameCost {
     pub waiting_ms: f64,
     /// Memory in use after it, MiB; `None` where the system does not say.
     pub resident_mb: Option<f64>,
+    /// Processor time of all threads from the start of the program to its end, milliseconds; `None` where
+    /// the system does not say.
+    pub processor_ms: Option<f64>,
 }
 
 /// A line of `/proc/self/status` that counts memory, such as `VmRSS:` or `VmHWM:`, MiB. `None` on
@@ -95,6 +98,24 @@ pub fn memory_mb(line: &str) -> Option<f64> {
     let line = status.lines().find(|l| l.starts_with(line))?;
     let kib: f64 = line.split_whitespace().nth(1)?.parse().ok()?;
     Some(kib / 1024.0)
+}
+
+/// Processor time of all threads so far, milliseconds, in steps of 10. `None` on systems that have no
+/// `/proc/self/stat`.
+#[must_use]
+pub fn processor_ms() -> Option<f64> {
+    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
+    processor_ms_of(&stat)
+}
+
+/// Of the fields behind the program's name in parentheses, the 12th and the 13th: time in its own code and
+/// in the system's, in hundredths of a second (`man 5 proc`).
+fn processor_ms_of(stat: &str) -> Option<f64> {
+    let (_, fields) = stat.rsplit_once(')')?;
+    let mut fields = fields.split_whitespace().skip(11);
+    let own: f64 = fields.next()?.parse().ok()?;
+    let system: f64 = fields.next()?.parse().ok()?;
+    Some(10.0 * (own + system))
 }
 
 /// A stopwatch that can be held from two threads.
@@ -140,7 +161,15 @@ fn percentile(values: &[f64], share: f64) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::percentile;
+    use super::{percentile, processor_ms_of};
+
+    #[test]
+    fn processor_time_is_own_and_system_time() {
+        // A name may hold spaces and parentheses.
+        let stat = "7 (a ) b) S 1 7 7 0 -1 4 10 0 0 0 123 45 6 7 20 0 3 0";
+        assert_eq!(processor_ms_of(stat), Some(1680.0), "(123 + 45) / 100 s");
+        assert_eq!(processor_ms_of("7 (a) S 1 7"), None, "cut off");
+    }
 
     #[test]
     fn percentiles_by_nearest_rank() {
