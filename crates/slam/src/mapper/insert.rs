@@ -296,8 +296,8 @@ mod tests {
         let camera = Camera::pinhole((64, 48), [60.0, 60.0, 31.5, 23.5]).expect("valid");
         let rgb = RgbImage::from_fn(64, 48, |x, _| [u8::try_from(x).expect("small"), 0, 255]);
         let landmark = |px| NewLandmark {
-            id: garad_core::LandmarkId(7),
-            p_world: nalgebra::Vector3::new(0.1, 0.0, 3.0),
+            id: LandmarkId(7),
+            p_world: Vector3::new(0.1, 0.0, 3.0),
             px,
         };
         let config = SeedConfig::default();
@@ -312,11 +312,7 @@ mod tests {
             &config,
         );
         assert_eq!(map.len(), 1, "one lies beside the picture");
-        assert_eq!(
-            map.landmark,
-            [Some(garad_core::LandmarkId(7))],
-            "tagged with it"
-        );
+        assert_eq!(map.landmark, [Some(LandmarkId(7))], "tagged with it");
         let color = garad_core::sh::color(0, map.sh_of(0), [0.0, 0.0, 1.0]);
         assert!((color[0] - 0.2).abs() < 1e-6, "51 of 255: {color:?}");
     }
