@@ -134,8 +134,9 @@ fn a_second_lap_adds_few_gaussians() {
         after_one > 2 * start,
         "the first lap: {start} to {after_one}"
     );
+    // 5 %; it was 57 % when whatever a keyframe brought stayed.
     assert!(
-        end < after_one * 23 / 20,
+        end < after_one * 11 / 10,
         "the second lap: {after_one} to {end}"
     );
 }
