@@ -12,7 +12,7 @@
 //! landmarks together) → [`loop_closing`] (a place seen again) → [`culling`] (keyframes that say nothing
 //! new) → [`schedule`] (mapping beside tracking) → [`mapper`] (Gaussians where the
 //! picture is not yet explained; the map learns the pictures). [`recover`] finds a lost camera
-//! again. [`session`] puts a run aside and takes it up again.
+//! again. [`session`] puts a run aside and takes it up again. `opening` sees the first frames twice.
 
 pub(crate) mod agreement;
 pub mod config;

@@ -68,7 +68,7 @@ impl Default for LabelConfig {
             bootstrap_frames: 10,
             second_sight: true,
             dilate_px: 8,
-            reach_px: 8,
+            reach_px: 4,
             trust_young: 0.55,
             trust_old: 0.97,
             settle_frames: 45,
