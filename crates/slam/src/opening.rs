@@ -224,12 +224,7 @@ impl Slam {
     /// As if no frame had been given. What is foreseen stays, and who listens.
     fn begin_again(&mut self) -> Result<(), SlamError> {
         self.finish()?;
-        let fresh = Self::new(
-            self.camera.clone(),
-            self.config.clone(),
-            self.seed,
-            self.par,
-        )?;
+        let fresh = Self::new(self.camera, self.config.clone(), self.seed, self.par)?;
         let before = std::mem::replace(self, fresh);
         self.opening = None;
         self.foresight = before.foresight;

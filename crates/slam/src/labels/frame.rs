@@ -416,7 +416,7 @@ pub(crate) mod tests {
             }
         });
         assert_eq!(cells, expected, "the box and nothing else");
-        let near = [[40, 120], [24, 104]];
+        let near = [[44, 116], [28, 100]];
         for (i, [x, y]) in places().into_iter().enumerate() {
             let label = match is_in(box_px, x, y) {
                 true => Label::Dynamic,
@@ -424,7 +424,7 @@ pub(crate) mod tests {
             };
             assert_eq!(now.label[i], label, "({x}, {y})");
             let in_use = !is_in(near, x, y);
-            assert_eq!(now.in_use[i], in_use, "({x}, {y}), 8 px around the box");
+            assert_eq!(now.in_use[i], in_use, "({x}, {y}), 4 px around the box");
         }
         let full = full_size(&cells, (160, 120));
         let same = |x, y| (full[(x, y)] == MOVING) == is_in(box_px, x, y);
