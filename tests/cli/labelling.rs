@@ -4,8 +4,6 @@ use std::fs;
 
 use crate::support::{Bench, arg, garad, metrics, run_into, walking};
 
-/// Frames before anything is labelled.
-
 #[test]
 fn labels_are_written_and_judged_by_the_recordings_own_masks() {
     let bench = Bench::empty();
