@@ -182,6 +182,8 @@ const TOLERANCES: &[(&str, &str, &str)] = &[
     ("bundle", "uv_px", "lk.xy"), ("bundle", "third_px", "lk.xy"), ("bundle", "cost", "trace.cost"),
     ("trajectory", "camera_from_world", "pose.pose"), ("trajectory", "p_world", "bundle.points"),
     ("map_before", "", "trace.map"), ("insert", "", "trace.map"), ("map_after", "", "trace.map"),
+    ("insert", "living", "exact"), ("insert", "new_landmark", "exact"),
+    ("insert", "new_p_world", "bundle.points"), ("insert", "new_px", "exact"),
     ("map_before", "landmark", "exact"), ("insert", "landmark", "exact"), ("map_after", "landmark", "exact"),
     ("map_before", "label", "exact"), ("insert", "label", "exact"), ("map_after", "label", "exact"),
     ("train", "camera_from_world", "pose.pose"), ("train", "target", "raster.f32.color"),

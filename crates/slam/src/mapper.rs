@@ -197,9 +197,10 @@ impl Mapper {
         observer.begin(Stage::Insert);
         self.insert(&job);
         observer.end(Stage::Insert);
-        self.trainer
-            .tape
-            .put("insert", |page| page.gaussians(&self.gaussians));
+        self.trainer.tape.put("insert", |page| {
+            page.landmarks(&job.living, &job.new_landmarks);
+            page.gaussians(&self.gaussians);
+        });
         let mut done = MappingDone {
             keyframe: job.keyframe,
             frame: job.frame,

@@ -28,7 +28,9 @@ import raster
 from pyramid import orb_levels
 
 CELL = 4
+NONE = 2 ** 32 - 1  # no landmark
 F = np.float32
+DRAWN = ("means", "quaternions", "log_scales", "opacity_logits", "sh")
 
 
 class Run(dict):
@@ -337,7 +339,7 @@ def check_train(checks, run, gaussians, camera, config):
     level, pose = int(run["level"][0]), run["camera_from_world"]
     if gaussians is not None:
         keep = gaussians["label"] == 0
-        drawn = draw({name: v[keep] for name, v in gaussians.items()}, camera, level, pose)
+        drawn = draw({name: gaussians[name][keep] for name in DRAWN}, camera, level, pose)
         for name, other in [("color", drawn["color"][0]), ("depth_m", drawn["depth"][0]), ("opacity", 1 - drawn["transmittance"][0])]:
             checks.same(run, name, other, "gen/raster.py, dense, 80 bits", abs_=2e-4, share=2e-2)
     t, excluded = config["train"], run["excluded"] == 0
@@ -356,45 +358,72 @@ def draw(gaussians, camera, level, pose):
     width, height = (-(-n // 2 ** level) for n in camera["size"])
     scene = {"size": (width, height), "intrinsics": [v / 2 ** level for v in camera["fx_fy_cx_cy"]],
              "q": quaternion_of(pose[:, :3]), "t": pose[:, 3], "background": np.zeros(3)}
-    names = ("means", "quaternions", "log_scales", "opacity_logits", "sh")
-    return raster.render(scene | {name: gaussians[name].astype(float) for name in names})[0]
+    return raster.render(scene | {name: gaussians[name].astype(float) for name in DRAWN})[0]
 
 
-def check_insert(checks, run, before, picture, masks, last, camera, config):
-    """A Gaussian for every lattice pixel with depth that the map before leaves open, then one per new landmark."""
-    seed, depth, pose = config["seed"], picture["depth_m"], last["camera_from_world"]
+def standing(world, camera, pose, uv, z, reach_px, depth_ratio):
+    """Gaussians of the surface at a place: drawn within reach of it, at its depth. Nearest first."""
+    fx, fy, cx, cy = camera["fx_fy_cx_cy"]
+    p = np.array(world["means"], float) @ pose[:, :3].T + pose[:, 3]
+    depth = np.where(p[:, 2] > 0, p[:, 2], np.nan)
+    apart = np.hypot(fx * p[:, 0] / depth + cx - uv[0], fy * p[:, 1] / depth + cy - uv[1])
+    of_it = (world["label"] == 0) & (apart <= reach_px) & (np.abs(depth - z) <= depth_ratio * z)
+    return [i for i in np.argsort(apart, kind="stable") if of_it[i]]
+
+
+def check_insert(checks, run, before, picture, masks, pose, camera, config):
+    """A new landmark takes a free Gaussian of its place or brings one; then one for every lattice pixel with depth
+    that the map with those leaves open and that has none of its surface beside it."""
+    seed, rgb, depth = config["seed"], picture["rgb"], picture["depth_m"]
     fx, fy, cx, cy = camera["fx_fy_cx_cy"]
     focal, stride, (height, width) = (fx + fy) / 2, seed["stride_px"], depth.shape
+    old = len(before["means"])
+    # What is labelled at this keyframe is labelled before insertion.
+    world = dict(before, label=run["label"][:old])
+    world["landmark"] = np.where(np.isin(before["landmark"], run["living"]), before["landmark"], NONE)
+
+    def added(world, p_world, z, pixel, tag):
+        logit = np.log(seed["opacity"] / (1 - seed["opacity"]))
+        sh = np.zeros((1, *world["sh"].shape[1:]))
+        sh[0, 0] = (rgb[pixel[1], pixel[0]] / 255 - 0.5) * np.sqrt(4 * np.pi)
+        new = dict(means=[p_world], log_scales=[[np.log(seed["footprint"] * stride * z / focal)] * 3], quaternions=[[1, 0, 0, 0]],
+                   opacity_logits=[logit], sh=sh, label=[0], landmark=[tag])
+        return {name: np.concatenate([world[name], v]) for name, v in new.items()}
+
+    # All look at the map as it was; a tag given is seen by the next.
+    was = dict(world)
+    for tag, p_world, pixel in zip(run["new_landmark"], run["new_p_world"], run["new_px"].astype(int)):
+        x, y, z = pose[:, :3] @ p_world + pose[:, 3]
+        if not (z > 0 and pixel[0] < width and pixel[1] < height):
+            continue
+        there = standing(was, camera, pose, (fx * x / z + cx, fy * y / z + cy), z, stride, seed["depth_ratio"])
+        free = [i for i in there if world["landmark"][i] == NONE]
+        if free:
+            world["landmark"][free[0]] = tag
+        else:
+            world = added(world, p_world, z, pixel, tag)
+
     moving = np.kron(masks["cells"], np.ones((CELL, CELL)))[:height, :width]
     near = ndimage.maximum_filter(moving, size=2 * stride + 1, mode="constant")
-    drawn = draw(before, camera, 2, pose)
-    means, sigmas = [], []
+    drawn = draw(world, camera, 2, pose)  # what moves hides what is behind it, too
+    drawn_m, drawn_opacity = drawn["depth"][0], 1 - drawn["transmittance"][0]
+    was = dict(world)
     for y in range(stride // 2, height, stride):
         for x in range(stride // 2, width, stride):
             z = float(depth[y, x])
             if not (usable(depth[y, x], config) and near[y, x] == 0):
                 continue
-            at = int(y / 4 + 0.5), int(x / 4 + 0.5)
-            inside = at[0] < drawn["depth"][0].shape[0] and at[1] < drawn["depth"][0].shape[1]
-            if inside:
-                opacity = 1 - drawn["transmittance"][0][at]
-                if opacity >= seed["explained_opacity"] and drawn["depth"][0][at] / opacity <= z * (1 + seed["depth_ratio"]):
-                    continue
-            p = np.array([(x - cx) * z / fx, (y - cy) * z / fy, z])
-            means.append(pose[:, :3].T @ (p - pose[:, 3]))
-            sigmas.append(seed["footprint"] * stride * z / focal)
-    known = {int(l): p for l, p in zip(last["landmark"], last["p_world"])}
-    old = set(before["landmark"].tolist())
-    for tag in run["landmark"][len(before["means"]) + len(means):].tolist():
-        if tag in known and tag not in old:
-            means.append(known[tag])
-            sigmas.append(seed["footprint"] * stride * (pose[:, :3] @ known[tag] + pose[:, 3])[2] / focal)
-    n, all_ = len(means), lambda name, new: np.concatenate([before[name].astype(float), new])
+            at = tuple(min(int(c / 4 + 0.5), n - 1) for c, n in zip((y, x), drawn_m.shape))
+            shown = drawn_opacity[at] >= seed["explained_opacity"]
+            if shown and drawn_m[at] / drawn_opacity[at] <= z * (1 + seed["depth_ratio"]):
+                continue
+            if not standing(was, camera, pose, (x, y), z, stride / 2, seed["depth_ratio"]):
+                p = np.array([(x - cx) * z / fx, (y - cy) * z / fy, z])
+                world = added(world, pose[:, :3].T @ (p - pose[:, 3]), z, (x, y), NONE)
+
     basis = "numpy, on a picture by gen/raster.py"
-    checks.same(run, "means", all_("means", np.array(means)), basis, abs_=1e-6)
-    checks.same(run, "log_scales", all_("log_scales", np.repeat(np.log(sigmas), 3).reshape(-1, 3)), basis, abs_=1e-6)
-    checks.same(run, "quaternions", all_("quaternions", np.tile([1.0, 0, 0, 0], (n, 1))), basis)
-    checks.same(run, "opacity_logits", all_("opacity_logits", np.full(n, np.log(seed["opacity"] / (1 - seed["opacity"])))), basis, abs_=1e-6)
+    for name, allowed in dict(means=1e-6, log_scales=1e-6, quaternions=0, opacity_logits=1e-6, sh=1e-6, landmark=0).items():
+        checks.same(run, name, world[name], basis, abs_=allowed)
 
 
 def quaternion_of(rotation):
@@ -441,8 +470,8 @@ def main():
         elif stage == "train":
             check_train(checks, run, get(frame, "insert") if call == 0 else None, camera, config)
         elif stage == "insert":
-            check_insert(checks, run, get(frame, "map_before"), get(frame, "input"), get(frame, "masks"), get(frame, "trajectory"),
-                         camera, config)
+            pose = get(frame, "trajectory")["camera_from_world"]
+            check_insert(checks, run, get(frame, "map_before"), get(frame, "input"), get(frame, "masks"), pose, camera, config)
         elif stage == "trajectory":
             last = [r["after"] for k, r in runs.items() if k[:2] == (frame, "pose")][-1]
             adjusted = get(frame, "bundle")

@@ -12,6 +12,7 @@ use super::{NONE, Page, matrix};
 use crate::frame::Frame;
 use crate::labels::witness::Verdict;
 use crate::map::Map;
+use crate::mapper::NewLandmark;
 use crate::surface::Surface;
 use crate::system::FrameInput;
 
@@ -374,6 +375,18 @@ impl Page {
         self.makes("landmark", "1", &[], ids);
         let points = triples(living.iter().map(|(_, l)| l.p_world));
         self.makes("p_world", "m", &[3], points);
+    }
+
+    /// What insertion is told: the landmarks that live, and those the keyframe made.
+    pub(crate) fn landmarks(&mut self, living: &[LandmarkId], new: &[NewLandmark]) {
+        let ids: Vec<u32> = living.iter().map(|l| l.0).collect();
+        self.takes("living", "1", &[], ids);
+        let ids: Vec<u32> = new.iter().map(|l| l.id.0).collect();
+        self.takes("new_landmark", "1", &[], ids);
+        let points = triples(new.iter().map(|l| l.p_world));
+        self.takes("new_p_world", "m", &[3], points);
+        let px: Vec<u32> = new.iter().flat_map(|l| l.px.map(index)).collect();
+        self.takes("new_px", "px", &[2], px);
     }
 
     /// A map, with a prefix of `taken` or made.
