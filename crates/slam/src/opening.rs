@@ -118,8 +118,19 @@ impl Slam {
             return Ok(report);
         }
         tracing::info!(frame = report.id.0, "somebody moves: begins again");
+        let last = self.replay(&opening, report, observer);
+        self.foresight.clear();
+        last
+    }
+
+    /// Begins again with these frames; the answer is the report of the last, whose first was `last`.
+    fn replay(
+        &mut self,
+        opening: &Opening,
+        mut last: FrameReport,
+        observer: &mut dyn Observer,
+    ) -> Result<FrameReport, SlamError> {
         self.begin_again()?;
-        let mut last = report;
         for seen in &opening.seen {
             self.next_frame = seen.frame.id; // frames that could not be read left gaps
             let input = FrameInput {
@@ -135,7 +146,6 @@ impl Slam {
             });
         }
         self.second_sight.pop(); // the frame just given
-        self.foresight.clear();
         Ok(last)
     }
 

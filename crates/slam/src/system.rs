@@ -155,9 +155,6 @@ pub struct Slam {
     pub(crate) par: Par,
 }
 
-/// Frames after a recovery that need more inliers: about a second.
-const CAREFUL_FRAMES: u32 = 30;
-
 impl Slam {
     /// An empty map, waiting for its first frame.
     ///
@@ -546,81 +543,5 @@ impl Slam {
             }
         }
         Ok(())
-    }
-
-    /// The first frame with enough depth is the world.
-    fn initialise(&mut self, frame: &mut Frame) -> usize {
-        let usable = (0..frame.len())
-            .filter(|&i| frame.depth_m[i].is_some() && frame.in_use[i])
-            .count();
-        if usable < self.config.keyframes.first_min_keypoints {
-            return 0;
-        }
-        frame.camera_from_world = Se3::identity();
-        self.state = TrackingState::Tracking;
-        usable
-    }
-
-    /// Motion model, then reference keyframe (or, when lost, all keyframes), then local map.
-    fn track(
-        &mut self,
-        frame: &mut Frame,
-        pyramid: Option<&LkPyramid>,
-        input: &FrameInput<'_>,
-        cells: &mut Option<MaskImage>,
-        observer: &mut dyn Observer,
-    ) -> usize {
-        let was_lost = self.state == TrackingState::Lost;
-        let first_pose = if was_lost {
-            observer.begin(Stage::Recover);
-            let found = self.recover(frame);
-            observer.end(Stage::Recover);
-            found
-        } else {
-            observer.begin(Stage::TrackMotion);
-            let found = self.track_motion(frame) || self.track_reference(frame);
-            observer.end(Stage::TrackMotion);
-            found
-        };
-        let config = &self.config.tracking;
-        let careful = was_lost
-            || self
-                .recovered_at
-                .is_some_and(|at| frame.id.0 - at.0 < CAREFUL_FRAMES);
-        let needed = if careful {
-            config.min_inliers_after_recovery
-        } else {
-            config.min_inliers
-        };
-        let mut inliers = 0;
-        if first_pose {
-            if self.config.labels.enabled && input.mask.is_none() {
-                observer.begin(Stage::Label);
-                *cells = self.label_frame(frame, input.depth);
-                if let Some(pyramid) = pyramid {
-                    self.recover_by_flow(frame, pyramid);
-                }
-                observer.end(Stage::Label);
-            }
-            observer.begin(Stage::TrackLocalMap);
-            // The flow check has use for the pyramid, too.
-            let to_refine = pyramid.filter(|_| self.config.refine.enabled);
-            inliers = self.track_local_map(frame, to_refine, input.depth);
-            observer.end(Stage::TrackLocalMap);
-        }
-        if inliers >= needed {
-            if was_lost {
-                self.recovered_at = Some(frame.id);
-                tracing::info!(frame = frame.id.0, inliers, "recovered");
-            }
-            self.state = TrackingState::Tracking;
-        } else {
-            if !was_lost {
-                tracing::info!(frame = frame.id.0, inliers, "lost");
-            }
-            self.state = TrackingState::Lost;
-            self.velocity = None;
-        }
-        inliers
     }
 }

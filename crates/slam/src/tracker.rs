@@ -6,7 +6,7 @@
 //! | `track_reference` | the reference keyframe's descriptors, if that failed | first pose |
 //! | `track_local_map` | everything the neighbourhood's keyframes see | final pose |
 
-use garad_core::{DepthImage, LandmarkId, Se3};
+use garad_core::{DepthImage, LandmarkId, MaskImage, Se3};
 use garad_features::LkPyramid;
 use garad_optim::{DepthObservation, PoseConfig, PoseObservation, optimise_pose};
 use serde::{Deserialize, Serialize};
@@ -16,7 +16,8 @@ use crate::config::DepthResidual;
 use crate::frame::Frame;
 use crate::map::by_count;
 use crate::matching::Matcher;
-use crate::system::Slam;
+use crate::observer::{Observer, Stage};
+use crate::system::{FrameInput, Slam};
 
 /// What the tracker knows about where it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -41,7 +42,86 @@ impl TrackingState {
     }
 }
 
+/// Frames after a recovery that need more inliers: about a second.
+const CAREFUL_FRAMES: u32 = 30;
+
 impl Slam {
+    /// The first frame with enough depth is the world.
+    pub(crate) fn initialise(&mut self, frame: &mut Frame) -> usize {
+        let usable = (0..frame.len())
+            .filter(|&i| frame.depth_m[i].is_some() && frame.in_use[i])
+            .count();
+        if usable < self.config.keyframes.first_min_keypoints {
+            return 0;
+        }
+        frame.camera_from_world = Se3::identity();
+        self.state = TrackingState::Tracking;
+        usable
+    }
+
+    /// Motion model, then reference keyframe (or, when lost, all keyframes), then local map.
+    pub(crate) fn track(
+        &mut self,
+        frame: &mut Frame,
+        pyramid: Option<&LkPyramid>,
+        input: &FrameInput<'_>,
+        cells: &mut Option<MaskImage>,
+        observer: &mut dyn Observer,
+    ) -> usize {
+        let was_lost = self.state == TrackingState::Lost;
+        let first_pose = if was_lost {
+            observer.begin(Stage::Recover);
+            let found = self.recover(frame);
+            observer.end(Stage::Recover);
+            found
+        } else {
+            observer.begin(Stage::TrackMotion);
+            let found = self.track_motion(frame) || self.track_reference(frame);
+            observer.end(Stage::TrackMotion);
+            found
+        };
+        let config = &self.config.tracking;
+        let careful = was_lost
+            || self
+                .recovered_at
+                .is_some_and(|at| frame.id.0 - at.0 < CAREFUL_FRAMES);
+        let needed = if careful {
+            config.min_inliers_after_recovery
+        } else {
+            config.min_inliers
+        };
+        let mut inliers = 0;
+        if first_pose {
+            if self.config.labels.enabled && input.mask.is_none() {
+                observer.begin(Stage::Label);
+                *cells = self.label_frame(frame, input.depth);
+                if let Some(pyramid) = pyramid {
+                    self.recover_by_flow(frame, pyramid);
+                }
+                observer.end(Stage::Label);
+            }
+            observer.begin(Stage::TrackLocalMap);
+            // The flow check has use for the pyramid, too.
+            let to_refine = pyramid.filter(|_| self.config.refine.enabled);
+            inliers = self.track_local_map(frame, to_refine, input.depth);
+            observer.end(Stage::TrackLocalMap);
+        }
+        if inliers >= needed {
+            if was_lost {
+                self.recovered_at = Some(frame.id);
+                tracing::info!(frame = frame.id.0, inliers, "recovered");
+            }
+            self.state = TrackingState::Tracking;
+        } else {
+            if !was_lost {
+                tracing::info!(frame = frame.id.0, inliers, "lost");
+            }
+            self.state = TrackingState::Lost;
+            self.velocity = None;
+        }
+        inliers
+    }
+
     pub(crate) fn matcher(&self) -> Matcher<'_> {
         Matcher {
             camera: &self.camera,

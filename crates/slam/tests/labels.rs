@@ -230,13 +230,13 @@ fn people_who_walk_are_found_and_kept_out_of_the_pose() {
     let twin = ate_m(twin, alone);
     let [on, off] = [on, walking_unlabelled()].map(|run| ate_m(recording, run));
     // So small a picture leaves much to chance: 0.010 m to 0.016 m with other sampling or first frames.
-    assert!(on < 0.020, "ATE {on} m (0.0158)");
+    assert!(on < 0.016, "ATE {on} m (0.0158)");
     // Depth alone keeps the pose from half of what people would do to it (decision 009).
     assert!(
-        off > 1.2 * on,
+        off > 1.3 * on,
         "{off} m (0.0221) without, {on} m with labels"
     );
-    assert!(on < 2.5 * twin, "{on} m, nobody there: {twin} m (0.0083)");
+    assert!(on < 2.2 * twin, "{on} m, nobody there: {twin} m (0.0083)");
 }
 
 #[test]
