@@ -59,7 +59,7 @@ impl Slam {
             .count()
     }
 
-    /// Keeps a keyframe's picture and forgets the oldest one beyond the limit.
+    /// Keeps a keyframe's picture and forgets those beyond the limit that nobody looks into any more.
     pub(crate) fn remember_picture(
         &mut self,
         keyframe: KeyframeId,
@@ -68,8 +68,13 @@ impl Slam {
         if let Some(pyramid) = pyramid {
             self.pyramids.insert(keyframe, pyramid);
         }
+        let oldest = self.oldest_picture(self.map.keyframe(keyframe).id);
         while self.pyramids.len() > self.config.refine.keyframes {
-            self.pyramids.pop_first();
+            let first = self.pyramids.first_entry();
+            match first.filter(|first| self.map.keyframe(*first.key()).id >= oldest) {
+                Some(_) => break,
+                None => self.pyramids.pop_first(),
+            };
         }
     }
 

@@ -12,6 +12,7 @@
 //! lattice of pixels), whose one cue is the depth residual against what was seen there before.
 //! At a keyframe it runs over the landmarks of the local map with all four cues.
 
+pub(crate) mod displacement;
 pub mod flow;
 pub mod frame;
 pub mod landmarks;

@@ -14,8 +14,8 @@
 //!    moves from the start. If nobody was, nothing happens.
 
 use garad_core::{DepthImage, FrameId, RgbImage, Rng, Se3};
-use garad_features::MatchConfig;
 use garad_features::matching::match_descriptors;
+use garad_features::{LkPyramid, MatchConfig};
 use garad_optim::PoseObservation;
 use serde::{Deserialize, Serialize};
 
@@ -71,6 +71,8 @@ impl Opening {
 pub(crate) struct Foresight {
     pub(crate) frame: FrameId,
     pub(crate) witness: Witness,
+    /// For displacements ([`crate::labels::displacement`]), if they are asked.
+    pub(crate) picture: Option<LkPyramid>,
     pub(crate) camera_from_world: Se3,
 }
 
@@ -162,6 +164,7 @@ impl Slam {
                 Some(Foresight {
                     frame: seen.frame.id,
                     witness: Witness::new(&seen.depth, self.config.features.max_depth_m),
+                    picture: self.far_picture(&seen.rgb),
                     camera_from_world: self.place_after(&first.frame, &seen.frame)?,
                 })
             })
@@ -223,12 +226,20 @@ impl Slam {
             return 0.0;
         };
         let witnesses = std::mem::take(&mut self.witnesses);
-        let cells = self.label_frame(&mut first.frame.clone(), &first.depth);
+        let picture = self.far_picture(&first.rgb);
+        let mut frame = first.frame.clone();
+        let cells = self.label_frame(&mut frame, &first.depth, picture.as_ref());
         self.witnesses = witnesses;
         cells.map_or(0.0, |cells| {
             let moving = cells.data().iter().filter(|c| **c == MOVING).count();
             moving as f64 / cells.data().len() as f64
         })
+    }
+
+    /// The picture for displacements, if they are asked.
+    fn far_picture(&self, rgb: &RgbImage) -> Option<LkPyramid> {
+        let asked = self.config.labels.displacement.enabled;
+        asked.then(|| self.picture(&rgb.to_gray()))?
     }
 
     /// As if no frame had been given. What is foreseen stays, and who listens.

@@ -63,6 +63,8 @@ impl Slam {
     /// What to follow from which keyframe, in order of keyframes and keypoints.
     fn refine_tasks(&self, frame: &Frame) -> BTreeMap<KeyframeId, Vec<Task>> {
         let mut tasks: BTreeMap<KeyframeId, Vec<Task>> = BTreeMap::new();
+        let youngest = self.pyramids.keys().rev();
+        let youngest: Vec<_> = youngest.take(self.config.refine.keyframes).collect();
         for i in 0..frame.len() {
             let Some(landmark) = frame.landmark[i].and_then(|l| self.map.landmark(l)) else {
                 continue;
@@ -70,7 +72,7 @@ impl Slam {
             let oldest = landmark
                 .observations
                 .iter()
-                .find(|(k, _)| self.pyramids.contains_key(k))
+                .find(|(k, _)| youngest.contains(&k))
                 .filter(|(k, j)| self.map.keyframe(*k).one_surface[*j]);
             let predicted = self
                 .camera

@@ -5,8 +5,8 @@ use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use garad_core::{
-    Camera, CameraError, DepthImage, FrameId, GaussianMap, KeyframeId, Label, LandmarkId,
-    MaskImage, Par, RgbImage, Se3, StampedPose,
+    Camera, CameraError, DepthImage, FrameId, GaussianMap, GrayImage, KeyframeId, Label,
+    LandmarkId, MaskImage, Par, RgbImage, Se3, StampedPose,
 };
 use garad_crf::Crf;
 use garad_features::{FeatureError, LkPyramid, OrbConfig, OrbExtractor, PlaceConfig, PlaceIndex};
@@ -310,11 +310,7 @@ impl Slam {
         let gray = input.rgb.to_gray();
         let found = self.extractor.extract(&gray, self.par);
         observer.end(Stage::Orb);
-        let flow = self.config.labels.enabled && self.config.flow.enabled;
-        let pyramid = match self.config.refine.enabled || flow {
-            true => LkPyramid::new(&gray, 1).ok().map(Arc::new),
-            false => None,
-        };
+        let pyramid = self.picture(&gray).map(Arc::new);
         let features = found.map_err(|source| SlamError::Features { frame: id, source })?;
         let mut frame = Frame::new(
             id,
@@ -344,7 +340,7 @@ impl Slam {
         let mut cells = None;
         let inliers = match self.state {
             TrackingState::NotInitialised => {
-                cells = self.label_frame(&mut frame, input.depth);
+                cells = self.label_frame(&mut frame, input.depth, pyramid.as_deref());
                 self.initialise(&mut frame)
             }
             TrackingState::Tracking | TrackingState::Lost => {
@@ -523,6 +519,14 @@ impl Slam {
     #[must_use]
     pub fn config(&self) -> &Config {
         &self.config
+    }
+
+    /// The picture as Lucas-Kanade wants it, if anything does.
+    pub(crate) fn picture(&self, gray: &GrayImage) -> Option<LkPyramid> {
+        let (labels, flow) = (&self.config.labels, &self.config.flow);
+        let for_labels = labels.enabled && (flow.enabled || labels.displacement.enabled);
+        let wanted = self.config.refine.enabled || for_labels;
+        wanted.then(|| LkPyramid::new(gray, self.picture_levels()).ok())?
     }
 
     fn check_sizes(&self, frame: FrameId, input: &FrameInput<'_>) -> Result<(), SlamError> {

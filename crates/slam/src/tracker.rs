@@ -94,7 +94,7 @@ impl Slam {
         if first_pose {
             if self.config.labels.enabled && input.mask.is_none() {
                 observer.begin(Stage::Label);
-                *cells = self.label_frame(frame, input.depth);
+                *cells = self.label_frame(frame, input.depth, pyramid);
                 if let Some(pyramid) = pyramid {
                     self.recover_by_flow(frame, pyramid);
                 }

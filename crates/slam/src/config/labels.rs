@@ -59,6 +59,52 @@ pub struct LabelConfig {
     pub edge_ratio: f64,
     /// Runs of the field before what moves is dropped (eq. 7).
     pub window: LabelWindowConfig,
+    /// Whether samples are also looked for in older pictures.
+    pub displacement: DisplacementConfig,
+}
+
+/// The search for what has gone sideways (decision 012).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DisplacementConfig {
+    /// Off by default: decision 012 says what it gains and what it costs.
+    pub enabled: bool,
+    /// Ages of the pictures that are asked, frames; kept ones half a step off will do.
+    pub ages_frames: [u32; 3],
+    /// A place found this far from the predicted one says nothing, px.
+    pub sigma_px: f64,
+    /// Texture a sample needs, in the units of [`garad_features::LkConfig::min_eigenvalue`].
+    pub min_eigenvalue: f32,
+    /// Largest mean absolute difference of two patches that are the same, grey levels.
+    pub max_residual: f32,
+    /// The difference at rest must be so many times that at the place found ...
+    pub better_ratio: f64,
+    /// ... and so many grey levels more.
+    pub better_by: f64,
+    /// Samples with something nearer than this before them in their window are not asked, metres.
+    pub edge_m: f64,
+}
+
+impl DisplacementConfig {
+    /// How far off an age may be: half the least of them.
+    pub(crate) fn slack_frames(&self) -> u32 {
+        self.ages_frames.into_iter().min().unwrap_or(0) / 2
+    }
+}
+
+impl Default for DisplacementConfig {
+    fn default() -> Self {
+        Self {
+            enabled: false,
+            ages_frames: [10, 20, 30],
+            sigma_px: 0.5,
+            min_eigenvalue: 5e-3,
+            max_residual: 10.0,
+            better_ratio: 1.5,
+            better_by: 1.0,
+            edge_m: 0.5,
+        }
+    }
 }
 
 impl Default for LabelConfig {
@@ -83,6 +129,7 @@ impl Default for LabelConfig {
             max_moving: 0.9,
             edge_ratio: 0.04,
             window: LabelWindowConfig::default(),
+            displacement: DisplacementConfig::default(),
         }
     }
 }

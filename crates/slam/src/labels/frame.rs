@@ -2,6 +2,7 @@
 
 use garad_core::{Camera, DepthImage, FrameId, Image, Label, MaskImage, Real};
 use garad_crf::{Cues, Node, unary};
+use garad_features::LkPyramid;
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -88,17 +89,22 @@ impl Lattice {
 
 /// One sample in the field.
 #[derive(Debug, Clone, Copy)]
-struct Sample {
-    px: Vector2<f64>,
-    depth_m: f64,
-    p_world: Vector3<f64>,
+pub(crate) struct Sample {
+    pub(crate) px: Vector2<f64>,
+    pub(crate) depth_m: f64,
+    pub(crate) p_world: Vector3<f64>,
 }
 
 impl Slam {
     /// Labels the frame's keypoints from its first pose, unlinks those that move, and returns the
-    /// mask in cells. `None` before the bootstrap is over or when the witnesses contradict nearly
+    /// mask in cells. `picture` is the frame's. `None` before the bootstrap is over or when the witnesses contradict nearly
     /// everything, which is a wrong pose rather than a crowd.
-    pub(crate) fn label_frame(&self, frame: &mut Frame, depth: &DepthImage) -> Option<MaskImage> {
+    pub(crate) fn label_frame(
+        &self,
+        frame: &mut Frame,
+        depth: &DepthImage,
+        picture: Option<&LkPyramid>,
+    ) -> Option<MaskImage> {
         let config = &self.config.labels;
         let nobody_knows = self.witnesses.is_empty() && self.foresight.is_empty();
         if nobody_knows || !self.knows_what_moves(frame.id) {
@@ -127,7 +133,10 @@ impl Slam {
             .map(|(_, sample)| *sample)
             .chain(lattice.iter().flatten().copied())
             .collect();
-        let verdicts = self.hear(&samples, frame.id);
+        let mut verdicts = self.hear(&samples, frame.id);
+        if let Some(picture) = picture {
+            self.hear_displacements(frame, depth, picture, &samples, &mut verdicts);
+        }
         let judged = verdicts.iter().filter_map(|v| v.residual);
         let suspects = judged.clone().filter(|r| *r > config.suspect_sigmas);
         let (judged, suspects) = (judged.count(), suspects.count());
@@ -407,7 +416,7 @@ pub(crate) mod tests {
         let box_px = [[48, 112], [32, 96]];
         let depth = wall_behind(box_px);
         let mut now = frame(&slam, 60, &depth);
-        let cells = slam.label_frame(&mut now, &depth).expect("labelled");
+        let cells = slam.label_frame(&mut now, &depth, None).expect("labelled");
         let expected = MaskImage::from_fn(40, 30, |x, y| {
             if is_in(box_px, 4 * x, 4 * y) {
                 MOVING
@@ -436,7 +445,7 @@ pub(crate) mod tests {
     fn what_is_uncovered_does_not_move() {
         let slam = slam_that_saw(&wall_behind([[48, 112], [32, 96]]), Config::default());
         let mut now = frame(&slam, 60, &wall());
-        let cells = slam.label_frame(&mut now, &wall()).expect("labelled");
+        let cells = slam.label_frame(&mut now, &wall(), None).expect("labelled");
         assert!(moving_share(&cells) <= 0.0, "an empty wall");
         assert!(now.in_use.iter().all(|u| *u), "all of it in use");
     }
@@ -445,15 +454,24 @@ pub(crate) mod tests {
     fn nothing_is_said_before_the_bootstrap_or_without_a_witness() {
         let mut slam = slam(Config::default());
         let mut early = frame(&slam, 9, &wall());
-        assert!(slam.label_frame(&mut early, &wall()).is_none(), "frame 9");
+        assert!(
+            slam.label_frame(&mut early, &wall(), None).is_none(),
+            "frame 9"
+        );
         let mut alone = frame(&slam, 10, &wall());
         assert!(
-            slam.label_frame(&mut alone, &wall()).is_none(),
+            slam.label_frame(&mut alone, &wall(), None).is_none(),
             "no witness"
         );
         keep(&mut slam, early.clone(), &wall());
-        assert!(slam.label_frame(&mut early, &wall()).is_none(), "frame 9");
-        assert!(slam.label_frame(&mut alone, &wall()).is_some(), "frame 10");
+        assert!(
+            slam.label_frame(&mut early, &wall(), None).is_none(),
+            "frame 9"
+        );
+        assert!(
+            slam.label_frame(&mut alone, &wall(), None).is_some(),
+            "frame 10"
+        );
     }
 
     #[test]
@@ -462,7 +480,7 @@ pub(crate) mod tests {
         let depth = wall_behind([[48, 112], [32, 96]]);
         for (id, asked) in [(130, true), (131, false)] {
             let mut now = frame(&slam, id, &depth);
-            let cells = slam.label_frame(&mut now, &depth).expect("labelled");
+            let cells = slam.label_frame(&mut now, &depth, None).expect("labelled");
             assert_eq!(moving_share(&cells) > 0.0, asked, "frame {id}: 40 + 90");
         }
     }
@@ -474,7 +492,7 @@ pub(crate) mod tests {
         let mut slam = slam_that_saw(&wall(), config.clone());
         let mut nine = wall_behind([[0, 144], [0, 120]]);
         let mut now = frame(&slam, 60, &nine);
-        let labelled = slam.label_frame(&mut now, &nine);
+        let labelled = slam.label_frame(&mut now, &nine, None);
         assert!(
             moving_share(&labelled.expect("nine of ten")) > 0.85,
             "nearly all"
@@ -482,7 +500,10 @@ pub(crate) mod tests {
 
         nine = wall_behind([[0, 160], [0, 120]]);
         now = frame(&slam, 60, &nine);
-        assert!(slam.label_frame(&mut now, &nine).is_none(), "ten of ten");
+        assert!(
+            slam.label_frame(&mut now, &nine, None).is_none(),
+            "ten of ten"
+        );
         assert!(now.label.iter().all(|l| *l == Label::Static), "no label");
         assert!(now.in_use.iter().all(|u| *u), "none put aside");
 
@@ -491,17 +512,21 @@ pub(crate) mod tests {
         let mut lost = frame(&slam, 60, &wall());
         lost.camera_from_world = step;
         assert!(
-            slam.label_frame(&mut lost, &wall()).is_none(),
+            slam.label_frame(&mut lost, &wall(), None).is_none(),
             "a metre off"
         );
         lost.camera_from_world = Se3::identity();
-        let right = slam.label_frame(&mut lost, &wall()).expect("right pose");
+        let right = slam
+            .label_frame(&mut lost, &wall(), None)
+            .expect("right pose");
         assert!(moving_share(&right) <= 0.0, "the wall");
 
         config.labels.max_moving = 1.0;
         slam = slam_that_saw(&wall(), config);
         lost.camera_from_world = step;
-        let cells = slam.label_frame(&mut lost, &wall()).expect("no guard");
+        let cells = slam
+            .label_frame(&mut lost, &wall(), None)
+            .expect("no guard");
         // What lies within the old picture: (2/3)² of it.
         assert!(moving_share(&cells) > 0.4, "{}", moving_share(&cells));
     }
