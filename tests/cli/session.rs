@@ -1,5 +1,6 @@
 //! A run put aside and resumed, tracking in a finished map, and what is said of sessions that are no good.
 
+use garad_slam::session::FORMAT;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -233,7 +234,8 @@ fn damaged_sessions_are_named() {
     refused(&flipped, &["damaged", "section"]);
     let mut newer = good.clone();
     newer[14] += 1; // behind `garad session\n`
-    refused(&newer, &["format 4", "format 3"]);
+    let formats = [FORMAT + 1, FORMAT].map(|f| format!("format {f}"));
+    refused(&newer, &[&formats[0], &formats[1]]);
     // The part of the run, behind that of the system, counts as well.
     fs::write(&file, &good[..good.len() - 1]).expect("written");
     resume(&bench, &session, &[]).fails_with(&[&name, "cut off"]);
