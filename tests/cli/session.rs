@@ -1,9 +1,10 @@
 //! A run put aside and resumed, tracking in a finished map, and what is said of sessions that are no good.
 
-use garad_slam::session::FORMAT;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
+
+use garad_slam::session::FORMAT;
 
 use crate::support::{
     Answer, Bench, arg, assert_same_results, copy, long, metrics, recording, run_into, short,
