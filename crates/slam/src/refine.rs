@@ -89,6 +89,6 @@ impl Slam {
 }
 
 #[allow(clippy::cast_possible_truncation, reason = "the tracker works in f32")]
-fn to_f32(p: &Vector2<f64>) -> [f32; 2] {
+pub(crate) fn to_f32(p: &Vector2<f64>) -> [f32; 2] {
     [p.x as f32, p.y as f32]
 }

@@ -8,19 +8,20 @@
 //! eᵢ = ‖foundᵢ - predictedᵢ‖ / √(1 + (sᵢ / σ)²),   sᵢ = f b σ_z(zᵢ) / zᵢ²
 //!
 //! with the baseline b between the two cameras: sᵢ is what the error of the sample's own depth does
-//! to the prediction. In units of max(σ, spread), where the spread is read off the nearer two fifths of those who
-//! pass for static, eᵢ is a residual like that of a witness; one picture may err, so the second largest of three counts.
+//! to the prediction. In units of max(σ, spread), the spread read off the nearer two fifths of those
+//! who pass for static, eᵢ is a residual like that of a witness. One picture may err, so the second
+//! largest of three counts.
 //!
-//! This is the paper's flow check (sec. III-B) the other way round and over a longer time: it
+//! This is the paper's flow check (sec. III-B) the other way round and over a longer time. That check
 //! acquits suspects from one frame to the next, where somebody who sways goes less than a pixel.
 
 use garad_core::{DepthImage, FrameId, KeyframeId, Real, Se3};
 use garad_features::{LkConfig, LkPyramid, LkTrack, lk};
-use nalgebra::Vector2;
 
 use super::frame::Sample;
 use super::witness::Verdict;
 use crate::frame::Frame;
+use crate::refine::to_f32;
 use crate::system::Slam;
 
 /// Levels of the pictures: who has gone 30 px in a second must be found.
@@ -36,7 +37,7 @@ const PASSES_SIGMAS: f64 = 2.0;
 /// Frames to a picture that is foreseen, at least.
 const LEAST_FORESIGHT: u32 = 3;
 
-/// Steps per level and their least length: a fifth of a pixel will do.
+/// Steps per level, and the length in pixels below which they end: a fifth of a pixel is near enough.
 const ITERATIONS: usize = 8;
 const EPSILON_PX: f64 = 0.05;
 
@@ -249,8 +250,8 @@ impl Slam {
     }
 }
 
-/// σ of displacements of which a part is not at rest: the share p of lengths up to the quantile q_p of two normal
-/// coordinates is 1 - exp(-q_p² / (2 σ²)). `None` of too few.
+/// σ of displacements of which a part is not at rest: of two normal coordinates, the share
+/// 1 - exp(-q² / (2 σ²)) has a length up to q. `None` of too few.
 #[allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -265,21 +266,16 @@ fn spread(mut lengths: Vec<f64>) -> Option<f64> {
     Some(quantile / (-2.0 * Real::ln(1.0 - SPREAD_SHARE)).sqrt())
 }
 
-#[allow(clippy::cast_possible_truncation, reason = "the tracker works in f32")]
-fn to_f32(p: &Vector2<f64>) -> [f32; 2] {
-    [p.x as f32, p.y as f32]
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
 
-    use garad_core::{GrayImage, Rng};
-    use nalgebra::Vector3;
+    use garad_core::GrayImage;
+    use nalgebra::{Vector2, Vector3};
 
     use super::*;
     use crate::config::Config;
-    use crate::labels::frame::tests::{frame, is_in, keep, slam, wall, wall_behind};
+    use crate::labels::frame::tests::{frame, is_in, keep, slam, texture, wall, wall_behind};
     use crate::labels::witness::Witness;
     use crate::opening::Foresight;
 
@@ -293,15 +289,6 @@ mod tests {
         let mut config = Config::default();
         config.labels.displacement.enabled = true;
         config
-    }
-
-    /// Blots of 3 x 3 pixels.
-    fn texture() -> GrayImage {
-        let mut rng = Rng::new(11);
-        let blots = GrayImage::from_fn(60, 41, |_, _| {
-            40 + u8::try_from(rng.below(170)).expect("u8")
-        });
-        GrayImage::from_fn(160, 120, |x, y| blots[(x / 3, y / 3)])
     }
 
     /// The texture with the shirt gone to the left by so much.

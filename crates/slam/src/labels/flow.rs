@@ -6,6 +6,7 @@ use garad_features::{LkConfig, LkPyramid, lk};
 use nalgebra::Vector2;
 
 use crate::frame::Frame;
+use crate::refine::to_f32;
 use crate::system::Slam;
 
 /// Static points the model is made of at most.
@@ -101,33 +102,19 @@ impl Slam {
     }
 }
 
-#[allow(clippy::cast_possible_truncation, reason = "the tracker works in f32")]
-fn to_f32(p: &Vector2<f64>) -> [f32; 2] {
-    [p.x as f32, p.y as f32]
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
 
-    use garad_core::{FrameId, GrayImage, Rng};
+    use garad_core::{FrameId, GrayImage};
 
     use super::*;
     use crate::config::Config;
-    use crate::labels::frame::tests::{frame, is_in, places, slam, wall, wall_behind};
+    use crate::labels::frame::tests::{frame, is_in, places, slam, texture, wall, wall_behind};
 
     /// What moves between the two pictures, and how far, px.
     const PATCH_PX: [[usize; 2]; 2] = [[48, 112], [32, 96]];
     const SHIFT_PX: usize = 3;
-
-    /// Blots of 3 x 3 pixels.
-    fn texture() -> GrayImage {
-        let mut rng = Rng::new(11);
-        let blots = GrayImage::from_fn(60, 41, |_, _| {
-            40 + u8::try_from(rng.below(170)).expect("u8")
-        });
-        GrayImage::from_fn(160, 120, |x, y| blots[(x / 3, y / 3)])
-    }
 
     /// A camera at rest: the second picture is the first, but for a patch that moves to the left.
     /// Suspects are the inner part of the patch and a column of keypoints far from it.

@@ -322,7 +322,7 @@ fn label_at(cells: &MaskImage, px: &Vector2<f64>) -> Label {
 
 #[cfg(test)]
 pub(crate) mod tests {
-    use garad_core::{KeyframeId, Par, Se3};
+    use garad_core::{GrayImage, KeyframeId, Par, Rng, Se3};
     use garad_features::{Descriptor, Keypoint};
 
     use super::*;
@@ -337,6 +337,15 @@ pub(crate) mod tests {
     pub(crate) fn slam(config: Config) -> Slam {
         let camera = Camera::pinhole((160, 120), [120.0, 120.0, 79.5, 59.5]).expect("valid");
         Slam::new(camera, config, 0, Par::Seq).expect("valid")
+    }
+
+    /// Blots of 3 x 3 pixels.
+    pub(crate) fn texture() -> GrayImage {
+        let mut rng = Rng::new(11);
+        let blots = GrayImage::from_fn(60, 41, |_, _| {
+            40 + u8::try_from(rng.below(170)).expect("u8")
+        });
+        GrayImage::from_fn(160, 120, |x, y| blots[(x / 3, y / 3)])
     }
 
     pub(crate) fn wall() -> DepthImage {
