@@ -16,7 +16,7 @@ use super::{make_folder, say};
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// quiet_desk, walking, crowd, stop_and_go, in_step, loop, comes_to_rest, sets_off, tripod,
-    /// lights_out or throng.
+    /// lights_out, throng or huddle.
     scene: SceneName,
     /// Folder of the recording.
     #[arg(short = 'o', long = "out", value_name = "DIR")]

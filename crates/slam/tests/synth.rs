@@ -183,7 +183,7 @@ fn a_picture_of_another_size_is_refused_and_the_run_goes_on() {
 /// With people over half the picture, true labels keep the path near what it is without them.
 #[test]
 fn true_labels_keep_people_out_of_the_pose() {
-    let mut config = small(SceneName::Crowd, 20);
+    let mut config = small(SceneName::Huddle, 20);
     (config.width, config.height, config.static_twin) = (640, 480, false);
     let scene = Scene::new(&config).expect("valid scene");
     let labelled = run(&scene, true, Par::Seq);

@@ -75,7 +75,7 @@ impl CameraPath {
                     0.95 + 0.12 * s(0.7, 0.0),
                 ),
             ),
-            SceneName::Crowd => (
+            SceneName::Crowd | SceneName::Huddle => (
                 v(
                     -1.72 + 0.26 * s(0.9, 0.0),
                     -1.28 + 0.24 * s(0.7, 1.0),

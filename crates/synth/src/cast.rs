@@ -1,5 +1,7 @@
 //! Who moves in which scene, and how the room is furnished for it.
 
+use std::f64::consts::PI;
+
 use garad_core::Rng;
 
 use crate::actor::{Actor, Role};
@@ -31,6 +33,18 @@ fn until(stop_s: f64) -> Schedule {
     }
 }
 
+/// Stands until then, takes a few steps across the view in 1.6 s, stands for 1.2 s and goes back.
+fn to_and_fro(centre: [f64; 2], phase_rad: f64, first_s: f64) -> Course {
+    // half a lap in the 1.2 s that a go has without its ramps
+    Course::ellipse(centre, [0.36, 0.06], ACROSS_RAD, PI / 1.2, phase_rad).with_schedule(
+        Schedule::StopAndGo {
+            first_s,
+            go_s: 1.6,
+            stop_s: 1.2,
+        },
+    )
+}
+
 /// Stands until then and goes ever after.
 fn from(start_s: f64) -> Schedule {
     Schedule::Once {
@@ -42,7 +56,10 @@ fn from(start_s: f64) -> Schedule {
 /// The furniture of a scene.
 pub(crate) fn furnishing(name: SceneName) -> Furnishing {
     Furnishing {
-        plain_walls: matches!(name, SceneName::Crowd | SceneName::Throng),
+        plain_walls: matches!(
+            name,
+            SceneName::Crowd | SceneName::Throng | SceneName::Huddle
+        ),
         middle_table: matches!(name, SceneName::QuietDesk | SceneName::Loop),
     }
 }
@@ -67,19 +84,34 @@ pub(crate) fn actors(name: SceneName, seed: u64) -> Vec<Actor> {
                 Course::ellipse([0.98, 0.08], [0.72, 0.22], ACROSS_RAD, 1.05, 5.6),
             );
         }
-        SceneName::Crowd => {
-            cast.person(
-                2,
-                Arms::Swing,
-                Course::ellipse([-0.88, -0.64], [0.38, 0.08], ACROSS_RAD, 1.2, 1.0),
-            );
+        SceneName::Crowd | SceneName::Huddle => {
+            let (nearest, on_the_left, on_the_right) = match name {
+                SceneName::Huddle => {
+                    let walks = Course::ellipse([-0.88, -0.64], [0.38, 0.08], ACROSS_RAD, 1.2, 1.0);
+                    (
+                        walks,
+                        Course::spot([-0.80, 0.02], -1.5),
+                        Course::spot([-0.18, -0.80], 2.9),
+                    )
+                }
+                _ => {
+                    let walks =
+                        Course::ellipse([-0.88, -0.64], [0.50, 0.08], ACROSS_RAD, 1.3, 4.14);
+                    (
+                        walks,
+                        to_and_fro([-0.72, -0.08], 0.0, 0.4),
+                        to_and_fro([-0.26, -0.70], PI, 0.9),
+                    )
+                }
+            };
+            cast.person(2, Arms::Swing, nearest);
             cast.person(
                 0,
                 Arms::Swing,
                 Course::ellipse([0.10, 0.06], [0.62, 0.12], ACROSS_RAD, 0.95, 3.4),
             );
-            cast.person(1, Arms::Gesture, Course::spot([-0.80, 0.02], -1.5));
-            cast.person(3, Arms::Gesture, Course::spot([-0.18, -0.80], 2.9));
+            cast.person(1, Arms::Gesture, on_the_left);
+            cast.person(3, Arms::Gesture, on_the_right);
         }
         SceneName::StopAndGo => {
             let turn = ACROSS_RAD + 0.25;

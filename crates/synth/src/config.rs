@@ -14,7 +14,8 @@ pub enum SceneName {
     /// Two people cross the room 2 to 3 m away, one of them carries a box.
     #[default]
     Walking,
-    /// Four people 1 to 2 m away cover a third to 60 % of the picture; the walls are plain.
+    /// Four people 1 to 2 m away cover a third to 60 % of the picture; the walls are plain. Two walk
+    /// to and fro, two talk and change places while they do.
     Crowd,
     /// A trolley, a ball and a person stand still, start, stop and start again.
     StopAndGo,
@@ -36,12 +37,15 @@ pub enum SceneName {
     /// Five people 1 to 2 m away, all on the move, cover half to two thirds of the picture; the
     /// walls are plain.
     Throng,
+    /// [`SceneName::Crowd`], but who talks stays on the spot, so that a tenth of what the camera would
+    /// see of the room is never seen.
+    Huddle,
 }
 
 impl SceneName {
     /// Every scene, in the order of the documentation.
     #[must_use]
-    pub fn all() -> [Self; 11] {
+    pub fn all() -> [Self; 12] {
         [
             Self::QuietDesk,
             Self::Walking,
@@ -54,6 +58,7 @@ impl SceneName {
             Self::Tripod,
             Self::LightsOut,
             Self::Throng,
+            Self::Huddle,
         ]
     }
 
@@ -72,6 +77,7 @@ impl SceneName {
             Self::Tripod => "tripod",
             Self::LightsOut => "lights_out",
             Self::Throng => "throng",
+            Self::Huddle => "huddle",
         }
     }
 }
