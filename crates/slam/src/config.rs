@@ -81,8 +81,11 @@ impl Default for Config {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FeatureConfig {
-    /// ORB features per frame.
+    /// ORB features per frame that may be used: more are looked for when a part of those in the last
+    /// frame moved.
     pub count: usize,
+    /// At most so many times `count` are looked for. 1: never more.
+    pub most_times: f64,
     /// Pyramid factor.
     pub scale: f64,
     /// Pyramid levels.
@@ -105,6 +108,7 @@ impl Default for FeatureConfig {
     fn default() -> Self {
         Self {
             count: 1000,
+            most_times: 2.0,
             scale: 1.2,
             levels: 8,
             fast_threshold: 20,
@@ -357,6 +361,7 @@ impl Config {
         #[rustfmt::skip]
         let checks = [
             ("features.count", f.count as f64, f.count > 0 && f.count <= 100_000, "1..100000"),
+            ("features.most_times", f.most_times, (1.0..=10.0).contains(&f.most_times), "a number from 1 to 10"),
             ("features.scale", f.scale, inside(1.0, f.scale, 4.0), "a number in (1, 4)"),
             ("features.levels", f.levels as f64, (1..=16).contains(&f.levels), "1..16"),
             ("features.fast_min_threshold", f64::from(f.fast_min_threshold),

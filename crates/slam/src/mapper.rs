@@ -11,6 +11,7 @@
 
 pub mod densify;
 pub mod follow;
+pub(crate) mod hindsight;
 pub mod insert;
 pub mod relabel;
 pub mod train;
@@ -26,6 +27,7 @@ use garad_core::{
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use self::hindsight::{Later, Shown};
 use self::insert::{Picture, insert_landmarks, seed_from_depth, untag_dropped};
 use self::relabel::{Relabelled, relabel};
 use self::train::{Pick, TrainError, TrainStep, Trainer};
@@ -213,11 +215,19 @@ impl Mapper {
         };
         let train = &self.config.train;
         if train.keeps_views() {
+            let max_depth_m = self.config.features.max_depth_m;
+            let labels = &self.config.labels;
+            let mask_is_given = job.mask.is_some() && job.cells.is_none();
+            let shown = (labels.enabled && labels.hindsight && !mask_is_given)
+                .then(|| Shown::new(job.frame, &job.depth, &self.camera, max_depth_m));
             let depth = (train.lambda_depth > 0.0).then_some(job.depth);
             let dilate_px = self.config.labels.dilate_px;
             let mask = job.mask.as_ref();
             let view = TrainingView::new(job.keyframe, job.rgb, depth, mask, dilate_px);
-            self.trainer.add_view(view);
+            self.trainer.add_view(match shown {
+                Some(shown) => view.to_be_judged(shown),
+                None => view,
+            });
             let poses = &self.poses;
             let pose_of = |k: KeyframeId| poses.get(k.index()).copied().unwrap_or_default();
             self.trainer.thin_views(train.max_views, pose_of);
@@ -286,7 +296,8 @@ impl Mapper {
         );
     }
 
-    /// Labels what the keyframe sees, and drops what has moved for a whole window.
+    /// Labels what the keyframe sees, drops what has moved for a whole window, and tells the views
+    /// before it what it sees through there.
     fn relabel(&mut self, job: &MappingJob) -> Relabelled {
         let pose = self.poses.get(job.keyframe.index()).copied();
         let (Some(cells), Some(pose)) = (&job.cells, pose) else {
@@ -308,6 +319,15 @@ impl Mapper {
         if counts.removed > 0 && self.trainer.retain(&mut self.gaussians, &keep).is_err() {
             counts.removed = 0; // never: there is a decision for every Gaussian
         }
+        let later = Later {
+            frame: job.frame,
+            witness: &witness,
+            camera_from_world: pose,
+        };
+        let poses = &self.poses;
+        let pose_of = |k: KeyframeId| poses.get(k.index()).copied().unwrap_or_default();
+        self.trainer
+            .look_back(&later, &self.camera, &self.config.labels, pose_of);
         counts
     }
 

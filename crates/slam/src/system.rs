@@ -308,6 +308,8 @@ impl Slam {
 
         observer.begin(Stage::Orb);
         let gray = input.rgb.to_gray();
+        let wanted = self.wanted_keypoints();
+        self.extractor.look_for(wanted);
         let found = self.extractor.extract(&gray, self.par);
         observer.end(Stage::Orb);
         let pyramid = self.picture(&gray).map(Arc::new);
@@ -326,7 +328,7 @@ impl Slam {
         self.tape.put("input", |page| page.input(input));
         let (scale, levels) = (self.config.features.scale, self.config.features.levels);
         self.tape
-            .put("orb", |page| page.orb(&gray, scale, levels, &frame));
+            .put("orb", |page| page.orb(&gray, scale, levels, wanted, &frame));
         self.tape.put("keypoints", |page| page.keypoints(&frame));
         if let Some(surface) = &frame.surface {
             self.tape.put("surface", |page| page.surface(surface));
@@ -519,6 +521,23 @@ impl Slam {
     #[must_use]
     pub fn config(&self) -> &Config {
         &self.config
+    }
+
+    /// Where people cover half the picture, half of all keypoints are theirs. So as many are looked
+    /// for as leave `features.count` to use if the share is that of the last frame.
+    #[allow(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "between 1 and 10 times a usize of at most 100 000"
+    )]
+    fn wanted_keypoints(&self) -> usize {
+        let config = &self.config.features;
+        let last = self.last.as_ref().filter(|last| !last.is_empty());
+        let times = last.map_or(1.0, |last| {
+            let in_use = last.in_use.iter().filter(|in_use| **in_use).count();
+            (last.len() as f64 / in_use as f64).min(config.most_times)
+        });
+        (config.count as f64 * times) as usize
     }
 
     /// The picture as Lucas-Kanade wants it, if anything does.

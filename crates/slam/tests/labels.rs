@@ -9,7 +9,7 @@
 use std::ops::Range;
 use std::sync::OnceLock;
 
-use garad_core::{Label, Par, StampedPose};
+use garad_core::{Label, MaskImage, Par, StampedPose};
 use garad_eval::{AteOptions, Confusion, ate};
 use garad_slam::labels::FrameLabels;
 use garad_slam::{Config, FrameInput, FrameReport, Silent, Slam, TrackingState};
@@ -452,6 +452,43 @@ fn a_given_mask_is_all_that_moves() {
     let landmarks = slam.map().landmarks();
     let moving = landmarks.filter(|(_, l)| l.label == Label::Dynamic);
     assert_eq!(moving.count(), 0, "landmarks");
+}
+
+/// With half the picture taken, twice as many keypoints are looked for, so that as many are left.
+#[test]
+fn keypoints_are_spent_on_what_is_left() {
+    let recording = walking();
+    let frame = &recording.frames[0];
+    let (width, height) = frame.mask.size();
+    let counts = |most_times: f64, covered: usize| {
+        let mut config = config();
+        config.features.most_times = most_times;
+        let mut slam = Slam::new(recording.scene.camera(), config, 0, Par::Seq).expect("valid");
+        let mask = MaskImage::from_fn(width, height, |x, _| if x < covered { 255 } else { 0 });
+        [(); 2].map(|()| {
+            let input = FrameInput {
+                t_s: frame.t_s,
+                rgb: &frame.rgb,
+                depth: &frame.depth,
+                mask: Some(&mask),
+            };
+            slam.process(&input, &mut Silent).expect("a good frame");
+            let last = slam.last_frame().expect("tracked");
+            [
+                last.len(),
+                last.in_use.iter().filter(|in_use| **in_use).count(),
+            ]
+        })
+    };
+    let half = width / 2;
+    let [[first, left], [second, left_then]] = counts(2.0, half);
+    let times = [second as f64 / first as f64, left_then as f64 / left as f64];
+    assert!(times[0] > 1.5 && times[1] > 1.5, "{times:?} times as many");
+    assert!(left_then > 4 * first / 5, "{left_then} of {first} are left");
+    for (most_times, covered, why) in [(1.0, half, "switched off"), (2.0, 0, "nothing covered")] {
+        let [one, other] = counts(most_times, covered);
+        assert_eq!(one, other, "{why}");
+    }
 }
 
 /// Who sets off slowly is seen sooner against older pictures (decision 012).

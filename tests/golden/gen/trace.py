@@ -81,7 +81,7 @@ def check_orb(checks, run, rgb, config):
     scales, levels = orb_levels(run["gray"])
     for l, level in enumerate(levels[1:], 1):
         checks.same(run, f"level_{l}", level, "opencv")
-    again = orb.extract(run["gray"], config["features"]["count"])
+    again = orb.extract(run["gray"], int(run["wanted"].item()))
     for name, other in [("xy", "pt"), ("level", "level"), ("angle_deg", "angle"), ("response", "response"), ("descriptor", "descriptor")]:
         checks.same(run, name, again[other][0], "opencv + gen/orb.py")
 

@@ -145,6 +145,14 @@ impl OrbExtractor {
         &self.config
     }
 
+    /// From now on, looks for about so many keypoints.
+    pub fn look_for(&mut self, features: usize) {
+        if features != self.config.features {
+            self.config.features = features;
+            self.wanted = features_per_level(&self.config);
+        }
+    }
+
     /// Pixels of level 0 that one pixel of `level` spans: 1.2^level. A keypoint's standard
     /// deviation grows with it.
     ///
@@ -280,6 +288,29 @@ mod tests {
     fn extract(image: &GrayImage, par: Par) -> Features {
         let mut orb = OrbExtractor::new(OrbConfig::default()).expect("defaults are valid");
         orb.extract(image, par).expect("an image")
+    }
+
+    #[test]
+    fn what_is_looked_for_may_change() {
+        let image = boxes(200, 150, 9);
+        let with = |features| {
+            let config = OrbConfig {
+                features,
+                ..OrbConfig::default()
+            };
+            OrbExtractor::new(config).expect("valid")
+        };
+        let expected = [60, 120].map(|n| with(n).extract(&image, Par::Seq).expect("a picture"));
+        assert!(
+            expected[1].keypoints.len() > expected[0].keypoints.len() + 30,
+            "more"
+        );
+        let mut changing = with(60);
+        for (n, which) in [(120, 1), (60, 0)] {
+            changing.look_for(n);
+            let found = changing.extract(&image, Par::Seq).expect("a picture");
+            assert!(found == expected[which], "{n} keypoints");
+        }
     }
 
     #[test]

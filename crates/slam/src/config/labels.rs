@@ -46,6 +46,9 @@ pub struct LabelConfig {
     pub trust_unknown: f64,
     /// Keyframes of the last so many frames are asked what was there before.
     pub memory_frames: u32,
+    /// Leave out of the map what a later keyframe, as long as it remembers, sees through in an
+    /// earlier one.
+    pub hindsight: bool,
     /// One sample of the picture every so many pixels, each way.
     pub step_px: usize,
     /// Noise of the depth camera, with room for registration and pose.
@@ -120,6 +123,7 @@ impl Default for LabelConfig {
             settle_frames: 45,
             trust_unknown: 0.55,
             memory_frames: 90,
+            hindsight: true,
             step_px: 16,
             noise: DepthNoise {
                 per_m: 3e-3,

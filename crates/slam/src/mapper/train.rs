@@ -17,7 +17,9 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::densify::{Densifier, densify, faded};
+use super::hindsight::Later;
 use super::view::{TrainingView, least_needed};
+use crate::config::LabelConfig;
 use crate::config::{DensifyConfig, Optimiser, RateConfig, TrainConfig};
 use crate::session::{SectionReader, SectionWriter, SessionError};
 use crate::trace::Tape;
@@ -197,6 +199,19 @@ impl Trainer {
     /// One more picture to learn from.
     pub fn add_view(&mut self, view: TrainingView) {
         self.views.push(view);
+    }
+
+    /// Tells every view what a later keyframe sees through there.
+    pub(super) fn look_back(
+        &mut self,
+        later: &Later<'_>,
+        camera: &Camera,
+        config: &LabelConfig,
+        pose_of: impl Fn(KeyframeId) -> Se3,
+    ) {
+        for view in &mut self.views {
+            view.look_back(&pose_of(view.keyframe), later, camera, config);
+        }
     }
 
     /// Lets pictures go until there are no more than `most`.

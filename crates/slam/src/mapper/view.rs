@@ -8,6 +8,8 @@ use garad_core::{
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use super::hindsight::{Later, Shown};
+use crate::config::LabelConfig;
 use crate::mask;
 
 /// Halvings of the coarsest picture (n = 2: three levels, eq. 16).
@@ -24,6 +26,8 @@ pub struct TrainingView {
     depth: Option<DepthImage>,
     /// 255 near something that moves.
     moving: Option<MaskImage>,
+    /// To be asked about later, for as long as somebody may say something.
+    shown: Option<Shown>,
     uses: usize,
 }
 
@@ -53,7 +57,40 @@ impl TrainingView {
             rgb,
             depth,
             moving: mask.map(|mask| mask::dilated(mask, dilate_px)),
+            shown: None,
             uses: 0,
+        }
+    }
+
+    /// Later keyframes will be asked about it.
+    #[must_use]
+    pub(crate) fn to_be_judged(mut self, shown: Shown) -> Self {
+        self.shown = Some(shown);
+        self
+    }
+
+    /// Leaves out what a later keyframe sees through. `camera_from_world` is this view's.
+    pub(crate) fn look_back(
+        &mut self,
+        camera_from_world: &Se3,
+        later: &Later<'_>,
+        camera: &Camera,
+        config: &LabelConfig,
+    ) {
+        self.shown = self
+            .shown
+            .take_if(|shown| shown.age(later.frame) <= config.memory_frames);
+        let Some(shown) = &self.shown else { return };
+        let Some(gone) = shown.seen_through(camera_from_world, later, camera, config) else {
+            return;
+        };
+        match &mut self.moving {
+            None => self.moving = Some(gone),
+            Some(moving) => {
+                for (moving, gone) in moving.data_mut().iter_mut().zip(gone.data()) {
+                    *moving |= gone;
+                }
+            }
         }
     }
 

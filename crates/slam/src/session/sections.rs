@@ -21,7 +21,7 @@ use super::SessionError;
 const MAGIC: &[u8; 14] = b"garad session\n";
 
 /// Number of the format; to be raised with every change of what is written or in which order.
-pub const FORMAT: u32 = 4;
+pub const FORMAT: u32 = 5;
 
 /// The version of this program.
 pub const PROGRAM: &str = env!("CARGO_PKG_VERSION");

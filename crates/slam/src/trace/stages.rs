@@ -85,8 +85,16 @@ impl Page {
     }
 
     /// Grey, the pyramid of the extractor (made again for the trace), keypoints.
-    pub(crate) fn orb(&mut self, gray: &GrayImage, scale: f64, levels: usize, frame: &Frame) {
+    pub(crate) fn orb(
+        &mut self,
+        gray: &GrayImage,
+        scale: f64,
+        levels: usize,
+        wanted: usize,
+        frame: &Frame,
+    ) {
         let scale = Real::to_f32(scale);
+        self.takes("wanted", "1", &[], vec![wanted as f64]);
         self.makes("gray", "1", &[gray.width()], gray.data().to_vec());
         let pyramid = GrayPyramid::scaled(gray.clone(), scale, levels);
         for (l, level) in pyramid.levels().iter().enumerate().skip(1) {
