@@ -168,6 +168,14 @@ mod tests {
     fn who_is_still_there_or_has_come_was_not_seen_through() {
         let (somebody, wall) = (somebody_at(BODY_PX), wall());
         assert_eq!(gone(&somebody, &somebody, 0.0), None, "still there");
+        // From 40 cm to the right, 1.5 m away are 16 px.
+        let aside = somebody_at([[8, 32], [8, 40]]);
+        assert_eq!(
+            gone(&somebody, &aside, 0.4),
+            None,
+            "still there, from the side"
+        );
+        assert!(gone(&somebody, &aside, 0.0).is_some(), "has stepped aside");
         assert_eq!(gone(&wall, &somebody, 0.0), None, "has come");
         assert_eq!(gone(&wall, &wall, 0.3), None, "nobody");
         let unknown = DepthImage::new(SIZE.0, SIZE.1, 0.0);
