@@ -225,7 +225,7 @@ impl Mapper {
             let mask = job.mask.as_ref();
             let view = TrainingView::new(job.keyframe, job.rgb, depth, mask, dilate_px);
             self.trainer.add_view(match shown {
-                Some(shown) => view.to_be_judged(shown),
+                Some(shown) => view.judged_later(shown),
                 None => view,
             });
             let poses = &self.poses;

@@ -554,7 +554,7 @@ fn extensive_hard_scenes_at_full_size() {
         let is_missed = reached.f1() < f1 || reached.iou() < iou || error > error_m;
         let (f1, iou) = (reached.f1(), reached.iou());
         let figures = format!("{name}: F1 {f1:.3}, IoU {iou:.3}, ATE {error:.4} m");
-        println!("{figures}");
+        eprintln!("{figures}");
         if is_missed {
             missed.push(figures);
         }

@@ -13,6 +13,11 @@ const STEP: usize = 5;
 const SAME_SURFACE: f64 = 0.05;
 
 /// Whether the room is seen in `frame` where the twin has depth `z` at pixel (u, v).
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "inside the picture"
+)]
 fn uncovers(
     frame: &SynthFrame,
     twin: &SynthFrame,

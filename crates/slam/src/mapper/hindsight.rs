@@ -6,7 +6,7 @@
 //! witness ([`crate::labels::witness`]) of the views before it, and what it sees through there is left
 //! out of the loss from then on.
 
-use garad_core::{Camera, DepthImage, FrameId, Image, MaskImage, Se3};
+use garad_core::{Camera, DepthImage, FrameId, Image, MaskImage, Real, Se3};
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -52,7 +52,7 @@ impl Shown {
             let known = z > 0.0 && z <= max_depth_m;
             let uv_px = camera.undistort_pixel(&Vector2::new(x as f64, y as f64));
             uv_px.filter(|_| known).map_or([0.0; 3], |uv| {
-                camera.unproject(&uv, z).map(|v| v as f32).into()
+                camera.unproject(&uv, z).map(Real::to_f32).into()
             })
         });
         Self { frame, p_cam }
@@ -203,7 +203,7 @@ mod tests {
         let rgb = RgbImage::new(SIZE.0, SIZE.1, [90; 3]);
         let after = |frame: u32| {
             let view = TrainingView::new(KeyframeId(0), rgb.clone(), None, None, 0);
-            let mut view = view.to_be_judged(shown.clone());
+            let mut view = view.judged_later(shown.clone());
             let later = Later {
                 frame: FrameId(frame),
                 witness: &Witness::new(&wall(), 8.0),

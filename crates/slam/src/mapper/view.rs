@@ -64,7 +64,7 @@ impl TrainingView {
 
     /// Later keyframes will be asked about it.
     #[must_use]
-    pub(crate) fn to_be_judged(mut self, shown: Shown) -> Self {
+    pub(crate) fn judged_later(mut self, shown: Shown) -> Self {
         self.shown = Some(shown);
         self
     }
