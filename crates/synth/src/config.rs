@@ -232,7 +232,7 @@ mod tests {
         let text = error.to_string();
         assert!(text.contains("'ballroom'"), "{text}");
         assert!(
-            text.ends_with("in_step, loop, comes_to_rest, sets_off, tripod, lights_out, throng"),
+            text.ends_with("comes_to_rest, sets_off, tripod, lights_out, throng, huddle"),
             "{text}"
         );
     }
