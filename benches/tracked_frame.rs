@@ -32,7 +32,7 @@ fn tracked_frame(c: &mut Criterion) {
             &format!("tracked_frame/tum_640x480/{threads}_thread"),
             |b| {
                 let mut config = Config::default();
-                config.seed.enabled = false;
+                config.insertion.enabled = false;
                 let camera = dataset.calibration().camera;
                 let mut slam = Slam::new(camera, config, 0, Par::new(threads)).expect("valid");
                 let mut next = 0;

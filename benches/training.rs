@@ -7,8 +7,8 @@ use std::hint::black_box;
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use garad_core::{Camera, GaussianMap, KeyframeId, NewGaussian, Par, Real, RgbImage, Rng, Se3};
 use garad_slam::config::TrainConfig;
-use garad_slam::mapper::train::{Pick, Trainer};
-use garad_slam::mapper::view::TrainingView;
+use garad_slam::mapping::train::{Pick, Trainer, TrainingScene};
+use garad_slam::mapping::view::TrainingView;
 
 /// Splats of about 2 px over the whole picture, at 1 to 4 m.
 fn room(n: usize, camera: &Camera) -> GaussianMap<f32> {

@@ -5,7 +5,7 @@
 //! pixel, as they are written, and the mask as runs of equal cells.
 
 use garad_core::{FrameId, Label, MaskImage};
-use garad_slam::labels::FrameLabels;
+use garad_slam::LabelledFrame;
 use serde::{Deserialize, Serialize};
 
 /// The labels of a frame, as they will be written.
@@ -26,7 +26,7 @@ pub struct PackedLabels {
 impl PackedLabels {
     /// Rounds places to a tenth of a pixel, halves as `{:.1}` does.
     #[must_use]
-    pub fn new(labels: &FrameLabels) -> Self {
+    pub fn new(labels: &LabelledFrame) -> Self {
         let mut runs: Vec<(u8, u32)> = Vec::new();
         for &value in labels.cells.data() {
             match runs.last_mut() {
@@ -77,7 +77,7 @@ mod tests {
         cells[(4, 0)] = 255;
         cells[(0, 1)] = 255;
         cells[(2, 2)] = 255;
-        let labels = FrameLabels {
+        let labels = LabelledFrame {
             frame: FrameId(7),
             keypoints: vec![
                 ([0.0, 639.96], Label::Static),

@@ -6,10 +6,10 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 use garad_core::{Camera, FrameId, GaussianMap, Label, MaskImage, Par, RgbImage, StampedPose};
 use garad_eval::{Confusion, RunLabels};
-use garad_slam::labels::frame::FrameLabels;
-use garad_slam::mapper::train::TrainStep;
+use garad_slam::LabelledFrame;
+use garad_slam::mapping::train::TrainStep;
 use garad_slam::session::{SectionReader, SectionWriter};
-use garad_slam::{Config, FrameInput, FrameReport, SecondSight, SessionError, Slam, TrackingState};
+use garad_slam::{Config, FrameInput, FrameReport, ReplayedFrame, SessionError, Slam, TrackingState};
 
 use crate::packed_labels::PackedLabels;
 use crate::progress::Progress;
@@ -189,7 +189,7 @@ impl Run {
     ) -> Result<(Self, Recording)> {
         let begun = Instant::now();
         let mut slam = Slam::load(input, Par::new(options.threads))?;
-        slam.go_on_with(camera, &options.config, options.seed)?;
+        slam.resume_with(camera, &options.config, options.seed)?;
         let mut run = Self::with(slam, options.clone());
         let mut from = SectionReader::new(input)?;
         let recording = from.take("recording")?;
@@ -217,7 +217,7 @@ impl Run {
             seed: slam.seed(),
             ..options.clone()
         };
-        options.config.train.refine = 0;
+        options.config.train.final_iterations = 0;
         let mut run = Self::with(slam, options);
         run.collected.stopwatch.record("load_session", loaded);
         Ok(run)
@@ -365,14 +365,14 @@ impl Run {
 /// Trains the map after the last frame. An error leaves the map as it was then, and is named among
 /// what was skipped: the path is not touched by it.
 fn train(slam: &mut Slam, result: &mut Collected, options: &RunOptions) {
-    let iterations = options.config.train.refine;
+    let iterations = options.config.train.final_iterations;
     if iterations == 0 {
         return;
     }
     let mut progress = Progress::new("training", iterations, options.quiet);
     let mut begun = Instant::now();
     let (stopwatch, refined) = (&mut result.stopwatch, &mut result.refined);
-    let outcome = slam.refine_map(&mut |step| {
+    let outcome = slam.train_final(&mut |step| {
         stopwatch.record("refine", begun.elapsed());
         refined.push(*step);
         begun = Instant::now();
@@ -449,10 +449,10 @@ impl Collected {
         let tracked = begun.elapsed().saturating_sub(waited);
         self.stopwatch.record("frame", tracked);
         self.keep_labels(slam, frame, &report);
-        if let Some(truth) = frame.truth.clone().filter(|_| slam.may_begin_again()) {
+        if let Some(truth) = frame.truth.clone().filter(|_| slam.may_restart()) {
             self.early_truth.push((report.id, truth));
         }
-        self.correct(&slam.take_second_sight(), frame.rgb.size());
+        self.correct(&slam.take_replayed(), frame.rgb.size());
         self.costs.push(FrameCost {
             frame: report.id.0,
             tracking_ms: tracked.as_secs_f64() * 1e3,
@@ -465,8 +465,8 @@ impl Collected {
 
     /// Puts what came of the first frames when they were seen again in the place of what was said
     /// of them before.
-    fn correct(&mut self, again: &[SecondSight], size: (usize, usize)) {
-        for SecondSight { report, labels } in again {
+    fn correct(&mut self, again: &[ReplayedFrame], size: (usize, usize)) {
+        for ReplayedFrame { report, labels } in again {
             if let Some(before) = self.frames.iter_mut().find(|f| f.id == report.id) {
                 *before = *report;
             }
@@ -495,7 +495,7 @@ impl Collected {
         let on = slam.config().labels.enabled && frame.mask.is_none();
         if let (true, Some(truth)) = (on, &frame.truth) {
             let size = frame.rgb.size();
-            let judged = slam.frame_labels().map_or_else(
+            let judged = slam.labelled_frame().map_or_else(
                 || {
                     let last = slam.last_frame().filter(|l| l.id == report.id);
                     let px = last.map_or(&[][..], |l| &l.px);
@@ -512,12 +512,12 @@ impl Collected {
             self.judged.frames.push(judged);
         }
         self.found
-            .extend(slam.frame_labels().map(PackedLabels::new));
+            .extend(slam.labelled_frame().map(PackedLabels::new));
     }
 }
 
 fn judge_found(
-    found: &FrameLabels,
+    found: &LabelledFrame,
     t_s: f64,
     size: (usize, usize),
     truth: &MaskImage,
@@ -570,7 +570,7 @@ fn snapshot(slam: &Slam, frame: SourceFrame, report: &FrameReport) -> Snapshot {
     Snapshot {
         frame: report.id.index(),
         t_s: frame.t_s,
-        mask: match slam.frame_labels() {
+        mask: match slam.labelled_frame() {
             Some(found) => Some(found.mask(frame.rgb.size())),
             None => frame.mask,
         },

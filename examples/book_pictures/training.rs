@@ -5,8 +5,8 @@ use garad::pictures::color_picture;
 use garad::raster::{RenderOptions, fast};
 use garad::slam::Config;
 use garad::slam::mapper::insert::{Picture, seed_from_depth};
-use garad::slam::mapper::train::{Pick, Trainer};
-use garad::slam::mapper::view::TrainingView;
+use garad::slam::mapping::train::{Pick, Trainer, TrainingScene};
+use garad::slam::mapping::view::TrainingView;
 use garad::synth::{Scene, SceneConfig, SceneName, SynthFrame};
 
 use crate::canvas::{BLACK, BLUE, Canvas, GREEN, ORANGE};
@@ -37,7 +37,7 @@ pub(crate) fn coarse_to_fine() -> Drawn {
             depth: &depth,
             mask: None,
         };
-        let (pose, seed, reach_m) = (pose_of(id), &config.seed, config.features.max_depth_m);
+        let (pose, seed, reach_m) = (pose_of(id), &config.insertion, config.features.max_depth_m);
         seed_from_depth(&mut map, &picture, &camera, &pose, id, seed, reach_m, par());
         trainer.add_view(TrainingView::new(id, rgb, Some(depth), None, 0));
     }

@@ -34,7 +34,7 @@ const AHEAD: usize = 2;
 pub(crate) fn run(args: &Args) -> Result<()> {
     let mut options = args.common.run_options(false)?;
     if args.common.refine.is_none() && args.common.config.is_none() {
-        options.config.train.refine = REFINE;
+        options.config.train.final_iterations = REFINE;
     }
     let scene = Scene::new(&SceneConfig {
         frames: args.frames,

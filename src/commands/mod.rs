@@ -63,7 +63,7 @@ impl Part {
         match self {
             Self::Crf => config.labels.enabled = false,
             Self::Flow => config.flow.enabled = false,
-            Self::Mapping => config.seed.enabled = false,
+            Self::Mapping => config.insertion.enabled = false,
             Self::Loops => config.loops.enabled = false,
         }
     }
@@ -88,7 +88,7 @@ impl CommonArgs {
             None => garad_slam::Config::default(),
         };
         if let Some(iterations) = self.refine {
-            config.train.refine = iterations;
+            config.train.final_iterations = iterations;
         }
         for part in &self.without {
             part.leave_out(&mut config);

@@ -158,7 +158,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         (GroundTruth::Raw, _) => "raw ground truth",
     };
     let mut judged = Judged::new(dataset.name(), &result, ground_truth.as_deref(), protocol);
-    if run_options.config.train.refine > 0 {
+    if run_options.config.train.final_iterations > 0 {
         let quality = render_quality::judge(
             result.gaussians()?,
             result.slam.camera(),

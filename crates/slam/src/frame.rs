@@ -1,53 +1,62 @@
-//! [`Frame`]: what tracking needs to know of one picture.
+//! [`Frame`]: the features of one RGB-D image, their depth, labels and landmarks.
 
-use garad_core::pyramid::{level_scales, level_sizes};
+pub(crate) mod depth_planes;
+pub mod extract;
+mod grid;
+mod keypoint_depth;
+mod levels;
+
 use garad_core::{Camera, DepthImage, FrameId, Label, LandmarkId, MaskImage, Se3};
 use garad_features::{Descriptor, Keypoint};
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::config::{Config, FeatureConfig};
+use self::depth_planes::DepthPlanes;
+use self::grid::Grid;
+use self::keypoint_depth::{depth_at, nearest_pixel, one_surface};
+use crate::config::Config;
 use crate::mask::moving_near;
-use crate::surface::Surface;
+
+pub use self::levels::Levels;
 
 /// A frame: its features in ideal pixels, their depth, and the landmarks they were found to be.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Frame {
     /// Position in the recording.
     pub id: FrameId,
-    /// Colour time stamp, seconds.
+    /// Time stamp of the colour image, seconds.
     pub t_s: f64,
-    /// Where the camera is.
+    /// Pose of the camera.
     pub camera_from_world: Se3,
     /// Keypoints as detected (distorted pixels).
     pub keypoints: Vec<Keypoint>,
     /// Their descriptors.
     pub descriptors: Vec<Descriptor>,
-    /// Their places in the full picture (distorted), px.
+    /// Their positions in the full image (distorted), px.
     pub px: Vec<Vector2<f64>>,
-    /// How far to trust them: 1.2^level px, or what refinement says.
+    /// Their standard deviation: 1.2^level px, or that of a subpixel match.
     pub sigma_px: Vec<f64>,
-    /// Where a pinhole would have seen them.
+    /// Their positions in the undistorted image, px.
     pub uv_px: Vec<Vector2<f64>>,
     /// Metres along z; `None` where the sensor gave none or the point sits on a depth edge.
     pub depth_m: Vec<Option<f64>>,
     /// The patch around the keypoint shows one surface: depths 10 px around it are near its own.
     pub one_surface: Vec<bool>,
-    /// Does the keypoint sit on something that moves?
+    /// Whether the keypoint is on something that moves.
     pub label: Vec<Label>,
-    /// Keypoints that move take part in nothing, nor do those so near to something that moves that
-    /// their descriptor or depth reaches across the edge.
+    /// Keypoints that take part in matching: not those that move, nor those so near to something
+    /// that moves that their descriptor or depth reaches across the edge.
     pub in_use: Vec<bool>,
     /// The landmark behind each keypoint.
     pub landmark: Vec<Option<LandmarkId>>,
-    /// The depth picture in planes; kept by the youngest keyframes only.
-    pub(crate) surface: Option<Surface>,
+    /// The depth image as planes; kept by the youngest keyframes only.
+    pub(crate) depth_planes: Option<DepthPlanes>,
     grid: Grid,
 }
 
 impl Frame {
-    /// Keeps what says when and where the picture was taken, and frees the rest.
-    pub(crate) fn give_up_features(&mut self) {
+    /// Keeps id, time and pose and frees the rest.
+    pub(crate) fn drop_features(&mut self) {
         *self = Self {
             id: self.id,
             t_s: self.t_s,
@@ -62,15 +71,15 @@ impl Frame {
             label: Vec::new(),
             in_use: Vec::new(),
             landmark: Vec::new(),
-            surface: None,
+            depth_planes: None,
             grid: Grid::default(),
         };
     }
 
     /// Brings detected features to ideal pixels, reads their depth and label.
     ///
-    /// Keypoints without an inverse under the distortion model, or outside the ideal picture, stay
-    /// in the list (labels on disk count them) but off the grid, so nothing ever matches them.
+    /// Keypoints without an inverse under the distortion model, or outside the ideal image, stay
+    /// in the list (labels on disk count them) but off the grid, so no search returns them.
     #[must_use]
     pub fn new(
         id: FrameId,
@@ -97,7 +106,7 @@ impl Frame {
             .iter()
             .map(|p| depth_at(depth, p, &config.features))
             .collect();
-        let ratio = config.refine.surface_ratio;
+        let ratio = config.subpixel.surface_ratio;
         let one_surface = px.iter().map(|p| one_surface(depth, p, ratio)).collect();
         let label: Vec<_> = px
             .iter()
@@ -109,15 +118,15 @@ impl Frame {
             .map(|p| mask.is_none_or(|m| label_at(m, p, reach_px) == Label::Static))
             .collect();
         let grid = Grid::new(camera, &uv_px, &in_use);
-        let noise = &config.surface.noise;
-        let surface = (config.surface.enabled)
-            .then(|| Surface::new(depth, config.features.max_depth_m, noise));
+        let noise = &config.depth_planes.noise;
+        let depth_planes = (config.depth_planes.enabled)
+            .then(|| DepthPlanes::new(depth, config.features.max_depth_m, noise));
         Self {
             id,
             t_s,
             camera_from_world: Se3::identity(),
             landmark: vec![None; keypoints.len()],
-            surface,
+            depth_planes,
             keypoints,
             descriptors,
             px,
@@ -156,8 +165,8 @@ impl Frame {
         Some(self.camera_from_world.inverse() * camera.unproject(&self.uv_px[i], depth))
     }
 
-    /// Puts keypoint i at a better place (distorted px), with the depth read there. A place without
-    /// an ideal pixel changes nothing.
+    /// Moves keypoint i to a better position (distorted px) and reads its depth there. A position
+    /// without an ideal pixel changes nothing.
     pub fn move_keypoint(
         &mut self,
         i: usize,
@@ -175,25 +184,32 @@ impl Frame {
         }
     }
 
-    /// Gives every keypoint a label, and says which take part in matching. The others lose their
-    /// landmark, and no search finds them.
+    /// Gives every keypoint its label. Suspects and keypoints that are not in use lose their
+    /// landmark; those not in use are found by no search.
     ///
     /// # Panics
-    /// Unless there is a label and a decision for every keypoint.
-    pub fn set_labels(&mut self, label: Vec<Label>, in_use: Vec<bool>, camera: &Camera) {
-        assert_eq!(label.len(), self.len(), "a label per keypoint");
-        assert_eq!(in_use.len(), self.len(), "a decision per keypoint");
-        for (landmark, in_use) in self.landmark.iter_mut().zip(&in_use) {
-            if !in_use {
+    /// Unless there is a label for every keypoint.
+    pub(crate) fn apply_labels(&mut self, labels: &FrameLabels, camera: &Camera) {
+        assert_eq!(labels.label.len(), self.len(), "a label per keypoint");
+        let unlinked = labels.suspect.iter().zip(&labels.in_use);
+        for (landmark, (suspect, in_use)) in self.landmark.iter_mut().zip(unlinked) {
+            if *suspect || !in_use {
                 *landmark = None;
             }
         }
-        self.grid = Grid::new(camera, &self.uv_px, &in_use);
-        self.label = label;
-        self.in_use = in_use;
+        self.grid = Grid::new(camera, &self.uv_px, &labels.in_use);
+        self.label.clone_from(&labels.label);
+        self.in_use.clone_from(&labels.in_use);
     }
 
-    /// Keypoints in use within `radius_px` of a place, at levels `low..=high`, in index order
+    /// Leaves out the depth planes where the mask (255) says that something moves.
+    pub(crate) fn mask_depth_planes(&mut self, mask: Option<&MaskImage>) {
+        if let Some(mask) = mask {
+            self.depth_planes = self.depth_planes.take().map(|p| p.without_moving(mask));
+        }
+    }
+
+    /// Keypoints in use within `radius_px` of a position, at levels `low..=high`, in index order
     /// within each cell.
     pub fn near(
         &self,
@@ -211,93 +227,18 @@ impl Frame {
     }
 }
 
-/// Where the pixels of each ORB level lie in the picture.
-///
-/// A resized picture keeps its outer edges, so pixel x of a level W_l wide has its centre at
-/// (x + ½) W/W_l - ½ of the full one. ORB-SLAM multiplies by 1.2^l instead, which is off by up to
-/// 1.3 px at the coarsest level and moves points that are seen at changing levels (decision 003).
-#[derive(Debug, Clone)]
-pub struct Levels {
-    /// 1.2^l as the extractor multiplies it into keypoints.
-    scale: Vec<f64>,
-    /// (W/W_l, H/H_l).
-    ratio: Vec<(f64, f64)>,
-    exact: bool,
-}
-
-impl Levels {
-    /// For pictures of this size.
-    #[must_use]
-    pub fn new((width, height): (usize, usize), factor: f32, count: usize, exact: bool) -> Self {
-        let ratio = level_sizes((width, height), factor, count)
-            .iter()
-            .map(|(w, h)| (width as f64 / *w as f64, height as f64 / *h as f64))
-            .collect();
-        let scale = level_scales(factor, count)
-            .iter()
-            .map(|s| f64::from(*s))
-            .collect();
-        Self {
-            scale,
-            ratio,
-            exact,
-        }
-    }
-
-    /// The keypoint's place in the full picture, px.
-    #[must_use]
-    pub fn center(&self, keypoint: &Keypoint) -> Vector2<f64> {
-        let (x, y) = (f64::from(keypoint.x), f64::from(keypoint.y));
-        let level = usize::from(keypoint.level);
-        if !self.exact {
-            return Vector2::new(x, y);
-        }
-        let (rx, ry) = self.ratio[level];
-        let at = |c: f64, ratio: f64| (c / self.scale[level] + 0.5) * ratio - 0.5;
-        Vector2::new(at(x, rx), at(y, ry))
-    }
-}
-
-/// Depth at a keypoint's nearest pixel; `None` if missing, too far, or on an edge: the valid
-/// depths of the 3x3 pixels around it spread by more than `edge_ratio` of it.
-fn depth_at(depth: &DepthImage, px: &Vector2<f64>, config: &FeatureConfig) -> Option<f64> {
-    let (x, y) = nearest_pixel(px, depth.size())?;
-    let usable = |d: f32| d.is_finite() && d > 0.0 && f64::from(d) <= config.max_depth_m;
-    let center = depth[(x, y)];
-    if !usable(center) {
-        return None;
-    }
-    let (mut low, mut high) = (center, center);
-    for ny in y.saturating_sub(1)..=(y + 1).min(depth.height() - 1) {
-        for nx in x.saturating_sub(1)..=(x + 1).min(depth.width() - 1) {
-            let d = depth[(nx, ny)];
-            if usable(d) {
-                low = low.min(d);
-                high = high.max(d);
-            }
-        }
-    }
-    let spread = f64::from(high - low);
-    (spread <= config.edge_ratio * f64::from(center)).then(|| f64::from(center))
-}
-
-/// Do all valid depths on a 5x5 lattice over the 21x21 pixels around a place lie within `ratio` of
-/// the depth at the place itself?
-fn one_surface(depth: &DepthImage, px: &Vector2<f64>, ratio: f64) -> bool {
-    const OFFSETS: [isize; 5] = [-10, -5, 0, 5, 10];
-    let Some((x, y)) = nearest_pixel(px, depth.size()) else {
-        return false;
-    };
-    let center = f64::from(depth[(x, y)]);
-    let near = |d: &f32| *d <= 0.0 || (f64::from(*d) - center).abs() <= ratio * center;
-    center > 0.0
-        && OFFSETS.iter().all(|dy| {
-            OFFSETS.iter().all(|dx| {
-                let at = (x.checked_add_signed(*dx), y.checked_add_signed(*dy));
-                let (Some(x), Some(y)) = at else { return true };
-                depth.get(x, y).is_none_or(near)
-            })
-        })
+/// What moves in a frame: the answer of [`dynamics`](crate::dynamics), applied to the frame once.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct FrameLabels {
+    /// Per keypoint.
+    pub(crate) label: Vec<Label>,
+    /// Per keypoint: may it be matched?
+    pub(crate) in_use: Vec<bool>,
+    /// Keypoints that the field took for dynamic, those that the flow check made static again
+    /// included: their match was made before that was known.
+    pub(crate) suspect: Vec<bool>,
+    /// 255 where something moves, one value per cell.
+    pub(crate) cells: MaskImage,
 }
 
 /// Dynamic if anything moves within `radius` of the keypoint.
@@ -306,90 +247,6 @@ fn label_at(mask: &MaskImage, px: &Vector2<f64>, radius: usize) -> Label {
         Some((x, y)) if moving_near(mask, x, y, radius) => Label::Dynamic,
         _ => Label::Static,
     }
-}
-
-#[allow(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "compared with the picture's bounds before the cast"
-)]
-fn nearest_pixel(px: &Vector2<f64>, (width, height): (usize, usize)) -> Option<(usize, usize)> {
-    let (x, y) = ((px.x + 0.5).floor(), (px.y + 0.5).floor());
-    let inside = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
-    inside.then_some((x as usize, y as usize))
-}
-
-/// Keypoints by cell, so that a search looks at its neighbourhood only.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
-struct Grid {
-    columns: usize,
-    rows: usize,
-    /// `start[cell]..start[cell + 1]` into `index`.
-    start: Vec<usize>,
-    index: Vec<usize>,
-}
-
-/// ORB-SLAM's 64 x 48 cells of a 640 x 480 picture.
-const CELL_PX: f64 = 10.0;
-
-impl Grid {
-    fn new(camera: &Camera, uv_px: &[Vector2<f64>], in_use: &[bool]) -> Self {
-        let columns = cell_of(camera.width as f64, usize::MAX) + 1;
-        let rows = cell_of(camera.height as f64, usize::MAX) + 1;
-        let cell = |i: usize| {
-            let uv = &uv_px[i];
-            (in_use[i] && camera.contains(uv))
-                .then(|| cell_of(uv.y, rows - 1) * columns + cell_of(uv.x, columns - 1))
-        };
-        // Counting sort: stable, so indices ascend within a cell.
-        let mut start = vec![0; columns * rows + 1];
-        for c in (0..uv_px.len()).filter_map(cell) {
-            start[c + 1] += 1;
-        }
-        for c in 0..columns * rows {
-            start[c + 1] += start[c];
-        }
-        let mut next = start.clone();
-        let mut index = vec![0; start[columns * rows]];
-        for i in 0..uv_px.len() {
-            if let Some(c) = cell(i) {
-                index[next[c]] = i;
-                next[c] += 1;
-            }
-        }
-        Self {
-            columns,
-            rows,
-            start,
-            index,
-        }
-    }
-
-    fn cells(&self, uv: Vector2<f64>, radius: f64) -> impl Iterator<Item = usize> + '_ {
-        let (x0, x1) = (
-            cell_of(uv.x - radius, self.columns - 1),
-            cell_of(uv.x + radius, self.columns - 1),
-        );
-        let (y0, y1) = (
-            cell_of(uv.y - radius, self.rows - 1),
-            cell_of(uv.y + radius, self.rows - 1),
-        );
-        (y0..=y1).flat_map(move |y| {
-            let row = y * self.columns;
-            self.index[self.start[row + x0]..self.start[row + x1 + 1]]
-                .iter()
-                .copied()
-        })
-    }
-}
-
-#[allow(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "float to integer saturates and maps NaN to 0, which is the clamp wanted here"
-)]
-fn cell_of(coordinate: f64, last: usize) -> usize {
-    ((coordinate / CELL_PX) as usize).min(last)
 }
 
 #[cfg(test)]

@@ -1,47 +1,43 @@
-//! The GARAD-SLAM pipeline: the only place that knows the order of stages.
+//! The GARAD-SLAM pipeline: the only crate that knows the order of stages.
 //!
 //! Frames go in one by one through [`Slam::process`]; out come the camera's path
 //! ([`Slam::trajectory`]), the landmarks and keyframes behind it, and a map of Gaussians
-//! ([`Slam::gaussians`]). Nothing here reads files, clocks or terminals: pictures come as
+//! ([`Slam::gaussians`]). Nothing here reads files, clocks or terminals: images come as
 //! arguments, timings leave through an [`Observer`].
 //!
-//! Reading order, one frame's way through the code:
-//! [`frame`] (features, ideal pixels, depth at keypoints) → [`matching`] (landmarks found again)
-//! → [`tracker`] (prediction, pose, local map, state) → [`refine`] (matches sharpened) →
-//! [`keyframes`] (when to keep a frame, what it adds, what is thrown out) → [`local_ba`] (poses and
-//! landmarks together) → [`loop_closing`] (a place seen again) → [`culling`] (keyframes that say nothing
-//! new) → [`schedule`] (mapping beside tracking) → [`mapper`] (Gaussians where the
-//! picture is not yet explained; the map learns the pictures). [`recover`] finds a lost camera
-//! again. [`session`] puts a run aside and takes it up again. `opening` sees the first frames twice.
+//! Reading order: `pipeline` is the method on a page. Then one frame's way: [`frame`] (features,
+//! depth at keypoints, depth planes) → [`tracking`] (first pose, local map, final pose) →
+//! [`dynamics`] (the paper, III-A and III-B: what moves) → [`keyframing`] (landmarks, bundle
+//! adjustment, loops) → [`mapping`] (III-C: the Gaussians). Each stage is a function of the
+//! [`Context`], what it reads, what it owns, and a [`trace::Recorder`]. [`session`] saves a run and
+//! resumes it.
 
-pub(crate) mod agreement;
 pub mod config;
-pub mod culling;
+pub mod context;
+pub mod dynamics;
 pub mod frame;
-pub mod keyframes;
-pub mod labels;
-pub mod local_ba;
-pub mod loop_closing;
+pub mod images;
+pub mod io;
+pub mod keyframing;
 pub mod map;
-pub mod mapper;
+pub mod mapping;
 pub mod mask;
-pub mod matching;
 pub mod observer;
-pub(crate) mod opening;
-pub mod recover;
-pub mod refine;
-pub mod schedule;
+mod pipeline;
 pub mod session;
-pub(crate) mod surface;
-pub mod system;
 pub mod trace;
-pub mod tracker;
+pub mod tracking;
+pub mod trajectory;
 
-pub use config::{Config, ConfigError};
-pub use culling::CullingConfig;
-pub use loop_closing::{LoopClosure, LoopConfig};
+#[cfg(test)]
+mod testing;
+
+pub use config::{Config, ConfigError, CullingConfig, LoopConfig};
+pub use context::Context;
+pub use io::{
+    FrameInput, FrameReport, LabelledFrame, ReplayedFrame, SlamError, TrackingState,
+};
+pub use keyframing::loop_closing::LoopClosure;
 pub use observer::{Observer, Silent, Stage};
-pub use opening::SecondSight;
+pub use pipeline::Slam;
 pub use session::SessionError;
-pub use system::{FrameInput, FrameReport, Slam, SlamError};
-pub use tracker::TrackingState;

@@ -1,75 +1,35 @@
-//! Landmarks, keyframes and who sees whom.
+//! [`Map`]: landmarks, keyframes and their covisibility.
 //!
-//! Both live in vectors indexed by their ids; a dropped landmark leaves a hole and its id is never
-//! used again, so every loop over the map runs in the order of birth. A culled keyframe stays as an
-//! empty one, whose pose follows another's ([`culling`](crate::culling)).
+//! Both are stored in vectors indexed by their ids; a dropped landmark leaves a hole and its id is
+//! never used again, so every loop over the map runs in the order of creation. A culled keyframe
+//! stays as an empty one, whose pose follows another's ([`culling`](crate::keyframing::culling)).
+
+pub mod landmark;
 
 use std::collections::BTreeMap;
 
-use garad_core::{Camera, KeyframeId, Label, LandmarkId, Se3};
-use garad_crf::LabelWindow;
-use garad_features::Descriptor;
-use nalgebra::{Vector2, Vector3};
+use garad_core::{FrameId, KeyframeId, Label, LandmarkId, Se3};
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use self::landmark::{Landmark, medoid};
 use crate::frame::Frame;
-
-/// A 3-D point that features of several keyframes see.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct Landmark {
-    /// Where it is, metres.
-    pub p_world: Vector3<f64>,
-    /// The observed descriptor nearest to all others.
-    pub descriptor: Descriptor,
-    /// Mean direction from the cameras to it, unit length.
-    pub view_direction: Vector3<f64>,
-    /// Distances at which the ORB pyramid can still find it, metres.
-    pub distance_m: (f64, f64),
-    /// Observing keyframes and their keypoint, in order of the keyframes.
-    pub observations: Vec<(KeyframeId, usize)>,
-    /// The keyframe that made it.
-    pub born: KeyframeId,
-    /// What moves is neither looked for nor adjusted.
-    pub label: Label,
-    /// The labels of the last runs (eq. 7).
-    pub window: LabelWindow,
-    /// Frames in which it should have been seen, and in which it was matched.
-    pub visible: u32,
-    /// See `visible`.
-    pub found: u32,
-}
 
 /// All landmarks and keyframes of a run.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Map {
-    /// In boxes, so that the hole of a dropped one is a word.
+    /// Boxed, so that the hole of a dropped one is one word.
     landmarks: Vec<Option<Box<Landmark>>>,
     keyframes: Vec<Frame>,
-    /// Keyframes that were given up, and what holds their poses.
+    /// Culled keyframes, and the keyframes their poses are tied to.
     culled: BTreeMap<KeyframeId, Anchor>,
 }
 
-/// Where a culled keyframe is: as seen from one that is not.
+/// The pose of a culled keyframe relative to one that is not.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 struct Anchor {
     keyframe: KeyframeId,
     culled_from_anchor: Se3,
-}
-
-/// A view direction within 60° of the mean counts as the same side of a point.
-const MIN_VIEW_COSINE: f64 = 0.5;
-
-/// How a landmark should appear in a frame.
-#[derive(Debug, Clone, Copy)]
-pub struct Appearance {
-    /// Ideal pixel.
-    pub uv_px: Vector2<f64>,
-    /// Metres along z.
-    pub depth_m: f64,
-    /// Level at which its detail has the size it was learnt at.
-    pub level: usize,
-    /// Cosine between this view and the mean view.
-    pub view_cosine: f64,
 }
 
 impl Map {
@@ -87,10 +47,10 @@ impl Map {
     /// The landmark, unless it was dropped or moves.
     #[must_use]
     pub fn static_landmark(&self, id: LandmarkId) -> Option<&Landmark> {
-        self.landmark(id).filter(|l| l.label == Label::Static)
+        self.landmark(id).filter(|l| l.label() == Label::Static)
     }
 
-    /// Landmarks that live, with their ids, oldest first.
+    /// Landmarks of the map with their ids, oldest first.
     pub fn landmarks(&self) -> impl Iterator<Item = (LandmarkId, &Landmark)> {
         self.landmarks
             .iter()
@@ -121,7 +81,7 @@ impl Map {
         &mut self.keyframes[id.index()]
     }
 
-    /// Was it given up? Its pose stays, its features are gone.
+    /// Whether it was culled: its pose stays, its features are gone.
     #[must_use]
     pub fn is_culled(&self, id: KeyframeId) -> bool {
         self.culled.contains_key(&id)
@@ -140,7 +100,13 @@ impl Map {
         count.checked_sub(1).map(KeyframeId)
     }
 
-    /// Keeps a frame; its keypoints become observations of the landmarks they are linked to.
+    /// The frame of the youngest keyframe; 0 without any.
+    #[must_use]
+    pub fn last_keyframe_frame(&self) -> FrameId {
+        self.keyframes.last().map_or(FrameId(0), |k| k.id)
+    }
+
+    /// Adds a keyframe; its keypoints become observations of the landmarks they are linked to.
     pub fn add_keyframe(&mut self, frame: Frame) -> KeyframeId {
         let id = KeyframeId(u32::try_from(self.keyframes.len()).unwrap_or(u32::MAX));
         for (i, landmark) in frame.landmark.iter().enumerate() {
@@ -162,24 +128,14 @@ impl Map {
     ) -> LandmarkId {
         let id = LandmarkId(u32::try_from(self.landmarks.len()).unwrap_or(u32::MAX));
         let descriptor = self.keyframe(keyframe).descriptors[i];
-        self.landmarks.push(Some(Box::new(Landmark {
-            p_world,
-            descriptor,
-            view_direction: Vector3::zeros(),
-            distance_m: (0.0, 0.0),
-            observations: vec![(keyframe, i)],
-            born: keyframe,
-            label: Label::Static,
-            window: LabelWindow::default(),
-            visible: 1,
-            found: 1,
-        })));
+        let landmark = Landmark::new(p_world, descriptor, keyframe, i);
+        self.landmarks.push(Some(Box::new(landmark)));
         self.keyframe_mut(keyframe).landmark[i] = Some(id);
         self.refresh(id, scales);
         id
     }
 
-    /// Takes a landmark out of the map and out of every keyframe that sees it.
+    /// Removes a landmark from the map and from every keyframe that observes it.
     pub fn drop_landmark(&mut self, id: LandmarkId) {
         let Some(landmark) = self.landmarks.get_mut(id.index()).and_then(Option::take) else {
             return;
@@ -189,7 +145,7 @@ impl Map {
         }
     }
 
-    /// Takes one observation back; a landmark that nobody sees any more goes with it.
+    /// Removes an observation, and the landmark if it was the last one.
     pub fn drop_observation(&mut self, id: LandmarkId, keyframe: KeyframeId) {
         let Some(landmark) = self.landmark_mut(id) else {
             return;
@@ -209,7 +165,7 @@ impl Map {
         }
     }
 
-    /// Gives a keyframe up: its observations are taken back, and its pose follows the keyframe that
+    /// Culls a keyframe: its observations are removed, and its pose follows the keyframe that
     /// shares most landmarks with it. `false`, and nothing happens, if there is none.
     pub(crate) fn cull(&mut self, id: KeyframeId, scales: &[f64]) -> bool {
         let Some(anchor) = by_count(&self.covisible(id)).first().copied() else {
@@ -217,9 +173,9 @@ impl Map {
         };
         let pose = self.keyframe(id).camera_from_world;
         let id_from_anchor = pose * self.keyframe(anchor).camera_from_world.inverse();
-        for held in self.culled.values_mut().filter(|a| a.keyframe == id) {
-            held.keyframe = anchor;
-            held.culled_from_anchor = held.culled_from_anchor * id_from_anchor;
+        for tied in self.culled.values_mut().filter(|a| a.keyframe == id) {
+            tied.keyframe = anchor;
+            tied.culled_from_anchor = tied.culled_from_anchor * id_from_anchor;
         }
         let anchor = Anchor {
             keyframe: anchor,
@@ -237,15 +193,15 @@ impl Map {
             self.drop_observation(landmark, id);
             self.refresh(landmark, scales);
         }
-        self.keyframe_mut(id).give_up_features();
+        self.keyframe_mut(id).drop_features();
         true
     }
 
-    /// Culled keyframes follow those that hold them, after these have been adjusted.
+    /// Moves culled keyframes with those their poses are tied to, after these have been adjusted.
     pub(crate) fn follow_anchors(&mut self) {
         for (id, anchor) in &self.culled {
-            let held_by = self.keyframes[anchor.keyframe.index()].camera_from_world;
-            self.keyframes[id.index()].camera_from_world = anchor.culled_from_anchor * held_by;
+            let anchor_from_world = self.keyframes[anchor.keyframe.index()].camera_from_world;
+            self.keyframes[id.index()].camera_from_world = anchor.culled_from_anchor * anchor_from_world;
         }
     }
 
@@ -259,9 +215,7 @@ impl Map {
             return;
         };
         for (keyframe, i) in gone.observations {
-            let seen = self
-                .landmark(keep)
-                .is_some_and(|l| l.observations.iter().any(|(k, _)| *k == keyframe));
+            let seen = self.landmark(keep).is_some_and(|l| l.is_observed_by(keyframe));
             self.keyframe_mut(keyframe).landmark[i] = (!seen).then_some(keep);
             if !seen && let Some(landmark) = self.landmark_mut(keep) {
                 landmark.observations.push((keyframe, i));
@@ -281,6 +235,39 @@ impl Map {
             landmark.observations.push((keyframe, i));
             landmark.observations.sort_unstable();
             self.keyframe_mut(keyframe).landmark[i] = Some(id);
+        }
+    }
+
+    /// Ids of all landmarks, ascending.
+    #[must_use]
+    pub fn landmark_ids(&self) -> Vec<LandmarkId> {
+        self.landmarks().map(|(id, _)| id).collect()
+    }
+
+    /// camera_from_world of every keyframe.
+    #[must_use]
+    pub fn keyframe_poses(&self) -> Vec<Se3> {
+        self.keyframes.iter().map(|k| k.camera_from_world).collect()
+    }
+
+    /// [`Map::refresh`] for every landmark.
+    pub(crate) fn refresh_all(&mut self, scales: &[f64]) {
+        for id in self.landmark_ids() {
+            self.refresh(id, scales);
+        }
+    }
+
+    /// Counts, for landmarks that should have been visible in a frame, and those that were found.
+    pub(crate) fn count_sightings(
+        &mut self,
+        expected: &[LandmarkId],
+        found: impl Iterator<Item = LandmarkId>,
+    ) {
+        for id in expected {
+            self.landmark_mut(*id).expect("in the local map").visible += 1;
+        }
+        for id in found {
+            self.landmark_mut(id).expect("linked").found += 1;
         }
     }
 
@@ -319,38 +306,7 @@ impl Map {
         }
     }
 
-    /// How a landmark should look from a frame; `None` if it should not be seen there: behind,
-    /// outside, too near, too far, from more than 60° beside its mean view, or if it moves.
-    #[must_use]
-    pub fn appearance(
-        &self,
-        landmark: &Landmark,
-        frame: &Frame,
-        camera: &Camera,
-        scales: &[f64],
-    ) -> Option<Appearance> {
-        if landmark.label == Label::Dynamic {
-            return None;
-        }
-        let p_cam = frame.camera_from_world * landmark.p_world;
-        let uv_px = camera.project(&p_cam)?;
-        if !camera.contains(&uv_px) {
-            return None;
-        }
-        let offset = landmark.p_world - frame.center();
-        let distance = offset.norm();
-        let (nearest, farthest) = landmark.distance_m;
-        let view_cosine = offset.dot(&landmark.view_direction) / distance;
-        let in_range = distance >= 0.8 * nearest && distance <= 1.2 * farthest;
-        (in_range && view_cosine >= MIN_VIEW_COSINE).then(|| Appearance {
-            uv_px,
-            depth_m: p_cam.z,
-            level: predicted_level(farthest / distance, scales),
-            view_cosine,
-        })
-    }
-
-    /// Keyframes that see landmarks of a keyframe, with the number they share, by id.
+    /// Keyframes that observe landmarks of a keyframe, with the number they share, by id.
     #[must_use]
     pub fn covisible(&self, id: KeyframeId) -> BTreeMap<KeyframeId, usize> {
         let mut shared = self.observers(self.keyframe(id).landmark.iter().flatten().copied());
@@ -358,7 +314,18 @@ impl Map {
         shared
     }
 
-    /// Keyframes that see any of the landmarks, with the number they see, by id.
+    /// Landmarks that any of the keyframes observes, ascending.
+    #[must_use]
+    pub fn observed_by(&self, keyframes: impl IntoIterator<Item = KeyframeId>) -> Vec<LandmarkId> {
+        let keyframes = keyframes.into_iter();
+        let landmarks = keyframes.flat_map(|k| self.keyframe(k).landmark.iter().flatten());
+        let mut ids: Vec<LandmarkId> = landmarks.copied().collect();
+        ids.sort_unstable();
+        ids.dedup();
+        ids
+    }
+
+    /// Keyframes that observe any of the landmarks, with the number they observe, by id.
     pub fn observers(
         &self,
         landmarks: impl Iterator<Item = LandmarkId>,
@@ -381,30 +348,6 @@ pub fn by_count(counts: &BTreeMap<KeyframeId, usize>) -> Vec<KeyframeId> {
     ids.into_iter().map(|(_, id)| id).collect()
 }
 
-/// Smallest level whose scale reaches `ratio`: where detail learnt at the farthest distance has
-/// its size again.
-fn predicted_level(ratio: f64, scales: &[f64]) -> usize {
-    let tolerance = 1.0 - 1e-9; // the level a point was made at must give itself back
-    scales
-        .iter()
-        .position(|s| *s >= ratio * tolerance)
-        .unwrap_or(scales.len() - 1)
-}
-
-/// The descriptor with the smallest median distance to all; the first of equals.
-fn medoid(descriptors: &[Descriptor]) -> Descriptor {
-    let median_distance = |a: &Descriptor| {
-        let mut distances: Vec<_> = descriptors.iter().map(|b| a.distance(b)).collect();
-        distances.sort_unstable();
-        distances[(distances.len() - 1) / 2]
-    };
-    descriptors
-        .iter()
-        .min_by_key(|d| median_distance(d))
-        .copied()
-        .unwrap_or_default()
-}
-
 fn unit(v: Vector3<f64>) -> Vector3<f64> {
     let norm = v.norm();
     if norm > 0.0 { v / norm } else { v }
@@ -415,12 +358,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn levels_and_counts_are_ordered_as_stated() {
-        let scales = [1.0, 1.2, 1.44];
-        assert_eq!(predicted_level(1.0, &scales), 0, "own level");
-        assert_eq!(predicted_level(1.2, &scales), 1, "own level");
-        assert_eq!(predicted_level(1.21, &scales), 2, "next one up");
-        assert_eq!(predicted_level(9.0, &scales), 2, "the last at most");
+    fn counts_are_ordered_as_stated() {
         let counts = [(0, 5), (1, 9), (2, 5)].map(|(k, n)| (KeyframeId(k), n));
         let order = by_count(&BTreeMap::from(counts));
         assert_eq!(
@@ -428,16 +366,5 @@ mod tests {
             [1, 2, 0].map(KeyframeId),
             "most first, then youngest"
         );
-    }
-
-    #[test]
-    fn medoid_is_the_middle_one() {
-        let d = |bits: u64| Descriptor([bits, 0, 0, 0]);
-        assert_eq!(
-            medoid(&[d(0b1111), d(0b0011), d(0b0001)]),
-            d(0b0011),
-            "between the others"
-        );
-        assert_eq!(medoid(&[d(7)]), d(7), "alone");
     }
 }

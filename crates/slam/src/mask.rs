@@ -1,11 +1,24 @@
-//! Masks of moving things (255 moving, 0 static, 128 unknown), and their surroundings.
+//! Masks of what moves (255 moving, 0 static, 128 unknown): dilation, halving, cells.
 
 use garad_core::MaskImage;
 
 /// Marks a moving pixel.
 pub const MOVING: u8 = 255;
 
-/// Does anything move within the square of `radius` pixels around (x, y)?
+/// Side of the cells of a mask in cells, px.
+pub(crate) const CELL_PX: usize = 4;
+
+/// A mask in cells at the size of the image.
+pub(crate) fn full_size(cells: &MaskImage, (width, height): (usize, usize)) -> MaskImage {
+    MaskImage::from_fn(width, height, |x, y| {
+        cells
+            .get(x / CELL_PX, y / CELL_PX)
+            .copied()
+            .unwrap_or_default()
+    })
+}
+
+/// Whether anything moves within the square of `radius` pixels around (x, y)?
 #[must_use]
 pub fn moving_near(mask: &MaskImage, x: usize, y: usize, radius: usize) -> bool {
     let columns = around(x, mask.width(), radius);
@@ -26,7 +39,7 @@ pub fn dilated(mask: &MaskImage, radius: usize) -> MaskImage {
     })
 }
 
-/// Left out (not 0) if any of the pixels that a halving with the 5-tap filter mixes is.
+/// Halves a mask: not 0 if any of the pixels under the 5-tap filter of a halved image is.
 #[must_use]
 pub fn halve(mask: &MaskImage) -> MaskImage {
     let (width, height) = (mask.width().div_ceil(2), mask.height().div_ceil(2));
@@ -48,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dilated_says_what_moving_near_says() {
+    fn dilated_is_moving_near_at_every_pixel() {
         let mut rng = garad_core::Rng::new(5);
         let mask = MaskImage::from_fn(13, 9, |_, _| [MOVING, 0, 128][rng.below(40).min(2)]);
         assert!(mask.data().contains(&MOVING), "something moves");

@@ -7,19 +7,19 @@ pub enum Stage {
     Orb,
     /// Landmarks of the last frame or a keyframe found in the new one, and the first pose.
     TrackMotion,
-    /// What moves in the frame: samples, field, flow check.
+    /// What moves in the frame: samples, random field, flow check.
     Label,
     /// The local map projected into the frame, and the final pose.
     TrackLocalMap,
-    /// A lost camera looked for among the keyframes.
-    Recover,
+    /// A lost camera searched for among the keyframes.
+    Relocalise,
     /// A keyframe and its landmarks added, weak landmarks dropped.
     Keyframe,
-    /// Landmarks through the field.
+    /// The random field over the landmarks of a keyframe.
     LabelMap,
     /// Local bundle adjustment.
     LocalBa,
-    /// Places seen again, and what is corrected then.
+    /// Loop closing.
     Loop,
     /// Tracking waits for a mapping job that is due (one thread: the job itself).
     Handover,
@@ -40,7 +40,7 @@ impl Stage {
             Self::TrackMotion => "track_motion",
             Self::Label => "label",
             Self::TrackLocalMap => "track_local_map",
-            Self::Recover => "recover",
+            Self::Relocalise => "relocalise",
             Self::Keyframe => "keyframe",
             Self::LabelMap => "label_map",
             Self::LocalBa => "local_ba",
@@ -53,7 +53,7 @@ impl Stage {
     }
 }
 
-/// Is told when a stage begins and ends. Stages of one thread do not nest.
+/// Called when a stage begins and ends. Stages of one thread do not nest.
 pub trait Observer {
     /// The stage begins.
     fn begin(&mut self, stage: Stage);
@@ -61,7 +61,7 @@ pub trait Observer {
     fn end(&mut self, stage: Stage);
 }
 
-/// Listens to nothing.
+/// Observes nothing.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Silent;
 

@@ -1,17 +1,15 @@
-//! The trace: what went into every stage of some frames, and what came out of it.
+//! The trace: the inputs and outputs of every stage in some frames.
 //!
-//! A port that ends somewhere else asks where it left the path; the answer is the first tensor that
-//! differs. So the pipeline writes down, for the frames asked for, the inputs and outputs of its
-//! stages in the order in which they run. The stages themselves know nothing of it: the pipeline
-//! hands them over where it calls them, one line each, and `stages` says what is written.
+//! A port whose result differs needs the first tensor that does. For the frames asked for, the
+//! pipeline records what goes into its stages and what comes out, in the order in which they run.
+//! Each stage is given a [`Recorder`] and hands it its tensors; [`stages`] lists them.
 //!
-//! Without a trace each of these lines is one comparison; nothing is copied or allocated.
-//! The numbers are those of the run, untouched: the same bits for any number of threads.
+//! Without a trace each call is one comparison; nothing is copied or allocated. The numbers are
+//! those of the run, untouched: the same bits for any number of threads.
 
 mod stages;
 
 use std::ops::RangeInclusive;
-use std::sync::{Mutex, PoisonError};
 
 use garad_core::{FrameId, Se3};
 
@@ -22,9 +20,9 @@ pub struct TraceRecord {
     pub frame: FrameId,
     /// The stage, see [`STAGES`].
     pub stage: &'static str,
-    /// A stage may run several times in a frame (`pose`, `train`): which time, from 0.
+    /// Number of the call within the frame, from 0 (`pose` and `train` run several times).
     pub call: usize,
-    /// Taken by the stage, or made by it.
+    /// Input or output of the stage.
     pub role: Role,
     /// Name within the stage.
     pub tensor: String,
@@ -36,19 +34,19 @@ pub struct TraceRecord {
     pub values: Values,
 }
 
-/// On which side of a stage a tensor stands.
+/// Side of a stage on which a tensor stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
-    /// Taken.
+    /// Read by the stage.
     Input,
-    /// Made.
+    /// Computed by it.
     Output,
 }
 
 /// Numbers as the pipeline has them. NaN stands for what is missing.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Values {
-    /// Pictures, masks, levels, decisions.
+    /// Images, masks, levels, decisions.
     U8(Vec<u8>),
     /// Ids, counts, indices; [`NONE`] for no id.
     U32(Vec<u32>),
@@ -61,24 +59,24 @@ pub enum Values {
 /// No landmark, no keyframe.
 pub const NONE: u32 = u32::MAX;
 
-/// Every stage that writes, in the order of the data within a frame. `pose` and
-/// `agreement` run after each search for matches; what follows `trajectory` is the mapper's.
+/// Every recorded stage, in the order of the data within a frame. `pose` and `depth_pose` run after
+/// each search for matches; the stages after `trajectory` are the mapper's.
 pub const STAGES: [&str; 23] = [
     "input",
     "orb",
     "keypoints",
-    "surface",
+    "depth_planes",
     "predict",
     "match_motion",
     "match_reference",
     "pose",
-    "agreement",
+    "depth_pose",
     "label",
     "masks",
     "flow_lk",
     "flow",
     "match_local_map",
-    "refine",
+    "subpixel",
     "keyframe",
     "label_map",
     "bundle",
@@ -119,85 +117,67 @@ impl Values {
     }
 }
 
-/// Where one side of the pipeline, tracking or mapping, writes.
-///
-/// The records are behind a lock because the tracker's methods read the system while they write here;
-/// only one thread ever asks for it.
+/// Records the stages of one thread, tracking or mapping, in the frames asked for.
 #[derive(Debug, Default)]
-pub(crate) struct Tape {
+pub struct Recorder {
     frames: Option<RangeInclusive<u32>>,
+    /// The frame at hand, if it is recorded.
     now: Option<FrameId>,
-    records: Mutex<Vec<TraceRecord>>,
+    records: Vec<TraceRecord>,
 }
 
-impl Tape {
-    /// Writes down these frames from now on.
-    pub(crate) fn watch(&mut self, frames: RangeInclusive<u32>) {
-        self.frames = Some(frames);
+impl Recorder {
+    /// Records these frames from now on.
+    pub(crate) fn set_frames(&mut self, frames: Option<RangeInclusive<u32>>) {
+        self.frames = frames;
     }
 
-    /// What is written down.
+    /// The frames that are recorded.
     pub(crate) fn frames(&self) -> Option<RangeInclusive<u32>> {
         self.frames.clone()
     }
 
-    /// What follows belongs to this frame.
-    pub(crate) fn turn_to(&mut self, frame: FrameId) {
-        let watched = self.frames.as_ref().is_some_and(|f| f.contains(&frame.0));
-        self.now = watched.then_some(frame);
+    /// The following stages belong to this frame.
+    pub(crate) fn begin_frame(&mut self, frame: FrameId) {
+        let recorded = self.frames.as_ref().is_some_and(|f| f.contains(&frame.0));
+        self.now = recorded.then_some(frame);
     }
 
-    /// Whether the frame at hand is written down.
-    pub(crate) fn is_on(&self) -> bool {
+    /// Whether the frame at hand is recorded.
+    pub(crate) fn is_recording(&self) -> bool {
         self.now.is_some()
     }
 
-    /// One run of a stage: `write` fills the page, if anybody wants it.
-    pub(crate) fn put(&self, stage: &'static str, write: impl FnOnce(&mut Page)) {
+    /// One call of a stage: `write` fills the record, if the frame is recorded.
+    pub(crate) fn record(&mut self, stage: &'static str, write: impl FnOnce(&mut StageRecord)) {
         let Some(frame) = self.now else { return };
-        let mut page = Page(Vec::new());
-        write(&mut page);
-        let mut records = self.records.lock().unwrap_or_else(PoisonError::into_inner);
-        let earlier = records
-            .iter()
-            .filter(|r| r.frame == frame && r.stage == stage)
-            .map(|r| r.call + 1);
+        let mut record = StageRecord(Vec::new());
+        write(&mut record);
+        let same = |r: &&TraceRecord| r.frame == frame && r.stage == stage;
+        let earlier = self.records.iter().filter(same).map(|r| r.call + 1);
         let call = earlier.max().unwrap_or(0);
-        records.extend(page.0.into_iter().map(|line| TraceRecord {
+        let tensors = record.0.into_iter().map(|tensor| TraceRecord {
             frame,
             stage,
             call,
-            role: line.role,
-            tensor: line.tensor,
-            unit: line.unit,
-            shape: line.shape,
-            values: line.values,
-        }));
+            ..tensor
+        });
+        self.records.extend(tensors);
     }
 
-    /// Everything written so far.
+    /// Everything recorded so far.
     pub(crate) fn take(&mut self) -> Vec<TraceRecord> {
-        let records = self.records.get_mut();
-        std::mem::take(records.unwrap_or_else(PoisonError::into_inner))
+        std::mem::take(&mut self.records)
     }
 }
 
-/// What one run of a stage takes and makes.
+/// The tensors of one call of a stage.
 #[derive(Debug)]
-pub(crate) struct Page(Vec<Line>);
+pub(crate) struct StageRecord(Vec<TraceRecord>);
 
-#[derive(Debug)]
-struct Line {
-    role: Role,
-    tensor: String,
-    unit: &'static str,
-    shape: Vec<usize>,
-    values: Values,
-}
-
-impl Page {
+impl StageRecord {
     /// Rows of the shape `row`; `[]` for one number each.
-    fn line(
+    fn tensor(
         &mut self,
         role: Role,
         tensor: impl Into<String>,
@@ -208,7 +188,10 @@ impl Page {
         let per_row = row.iter().product::<usize>().max(1);
         let mut shape = vec![values.len() / per_row];
         shape.extend_from_slice(row);
-        self.0.push(Line {
+        self.0.push(TraceRecord {
+            frame: FrameId(0), // frame, stage and call are those of the whole record
+            stage: "",
+            call: 0,
             role,
             tensor: tensor.into(),
             unit,
@@ -217,24 +200,24 @@ impl Page {
         });
     }
 
-    pub(crate) fn takes(
+    pub(crate) fn input(
         &mut self,
         tensor: impl Into<String>,
         unit: &'static str,
         row: &[usize],
         values: impl Into<Values>,
     ) {
-        self.line(Role::Input, tensor, unit, row, values.into());
+        self.tensor(Role::Input, tensor, unit, row, values.into());
     }
 
-    pub(crate) fn makes(
+    pub(crate) fn output(
         &mut self,
         tensor: impl Into<String>,
         unit: &'static str,
         row: &[usize],
         values: impl Into<Values>,
     ) {
-        self.line(Role::Output, tensor, unit, row, values.into());
+        self.tensor(Role::Output, tensor, unit, row, values.into());
     }
 }
 
@@ -251,19 +234,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_watched_frames_are_written_and_calls_are_counted() {
-        let mut tape = Tape::default();
-        tape.turn_to(FrameId(4));
-        tape.put("pose", |_| panic!("nobody watches"));
-        tape.watch(4..=5);
+    fn only_the_given_frames_are_recorded_and_calls_are_counted() {
+        let mut recorder = Recorder::default();
+        recorder.begin_frame(FrameId(4));
+        recorder.record("pose", |_| panic!("no frame is recorded"));
+        recorder.set_frames(Some(4..=5));
         for frame in 3..7 {
-            tape.turn_to(FrameId(frame));
-            assert_eq!(tape.is_on(), (4..=5).contains(&frame), "frame {frame}");
+            recorder.begin_frame(FrameId(frame));
+            let expected = (4..=5).contains(&frame);
+            assert_eq!(recorder.is_recording(), expected, "frame {frame}");
             for x in [1.0, 2.0] {
-                tape.put("pose", |page| page.makes("x", "m", &[1], vec![x]));
+                recorder.record("pose", |record| record.output("x", "m", &[1], vec![x]));
             }
         }
-        let records = tape.take();
+        let records = recorder.take();
         let of = |r: &TraceRecord| (r.frame.0, r.call, r.shape.clone(), r.values.clone());
         let expected = |frame, call, x| (frame, call, vec![1, 1], Values::F64(vec![x]));
         assert_eq!(
@@ -276,6 +260,6 @@ mod tests {
             ],
             "two calls in each of two frames"
         );
-        assert!(tape.take().is_empty(), "handed out once");
+        assert!(recorder.take().is_empty(), "handed out once");
     }
 }

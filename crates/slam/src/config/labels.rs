@@ -1,4 +1,4 @@
-//! What moves: samples and witnesses, the random field, the flow check.
+//! What moves: samples, free space, the random field, the flow check.
 
 use garad_crf::{CrfConfig, CueModel, DepthNoise, LabelWindowConfig, Method, Pooling, Side};
 use garad_features::flow::{FlowConfig, FlowEstimator, FlowForm};
@@ -27,75 +27,83 @@ pub struct LabelConfig {
     pub enabled: bool,
     /// Everything is static in the first frames, ...
     pub bootstrap_frames: u32,
-    /// ... unless the run begins again after them, when it has turned out that somebody moves there.
-    pub second_sight: bool,
-    /// Keypoints this near to what a given mask says moves are not used, px; the photometric loss
-    /// keeps as far from every mask.
+    /// ... but the run restarts with the first frame if later frames show that something moved
+    /// there (decision 011).
+    #[serde(alias = "second_sight")]
+    pub bootstrap_restart: bool,
+    /// Keypoints this near to the moving part of a given mask are not used, px; the photometric
+    /// loss excludes as wide a border around every mask.
     pub dilate_px: usize,
     /// A keypoint this near to a pixel that was found to move is not used, px: its descriptor and
     /// its depth reach across the edge.
     pub reach_px: usize,
-    /// Probability of being static that a sample keeps if every witness agrees with it, the oldest of
-    /// them from just now, ...
+    /// Probability of being static of a sample on a surface that was seen there before: if the
+    /// oldest view that saw it is recent, ...
     pub trust_young: f64,
-    /// ... or from `settle_frames` ago and more.
+    /// ... or `settle_frames` old and more.
     pub trust_old: f64,
     /// See `trust_old`.
     pub settle_frames: u32,
-    /// The same for a sample that no witness knows.
+    /// The same for a sample that no earlier view saw.
     pub trust_unknown: f64,
-    /// Keyframes of the last so many frames are asked what was there before.
+    /// Age up to which keyframes are part of the free-space history, frames.
     pub memory_frames: u32,
-    /// Leave out of the map what a later keyframe, as long as it remembers, sees through in an
-    /// earlier one.
-    pub hindsight: bool,
-    /// One sample of the picture every so many pixels, each way.
+    /// Exclude from training what a later keyframe, up to `memory_frames` younger, shows to be free
+    /// space (decision 013).
+    #[serde(alias = "hindsight")]
+    pub mask_freed_space: bool,
+    /// Distance between samples of the image, px.
     pub step_px: usize,
     /// Noise of the depth camera, with room for registration and pose.
     pub noise: DepthNoise,
     /// A depth residual above this makes a suspect, standard deviations.
     pub suspect_sigmas: f64,
-    /// If more than this share of the judged samples is suspect, the pose is: nothing is labelled.
+    /// If more than this share of the judged samples is suspect, the pose is taken to be wrong and
+    /// nothing is labelled.
     pub max_moving: f64,
-    /// Samples whose depth differs by more than this share belong to another thing, when the mask is
-    /// filled in between them.
+    /// When the mask is interpolated, samples whose depth differs by more than this share belong to
+    /// another object.
     pub edge_ratio: f64,
-    /// Runs of the field before what moves is dropped (eq. 7).
+    /// The retention window (eq. 7).
     pub window: LabelWindowConfig,
-    /// Whether samples are also looked for in older pictures.
-    pub displacement: DisplacementConfig,
+    /// Motion of samples' patches since older images.
+    #[serde(alias = "displacement")]
+    pub patch_motion: PatchMotionConfig,
 }
 
-/// The search for what has gone sideways (decision 012).
+/// The search for sideways motion of image patches (decision 012).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct DisplacementConfig {
+pub struct PatchMotionConfig {
     /// Off by default: decision 012 says what it gains and what it costs.
     pub enabled: bool,
-    /// Ages of the pictures that are asked, frames; kept ones half a step off will do.
+    /// Ages of the images compared with, frames; a kept one may be off by half the least of these.
     pub ages_frames: [u32; 3],
-    /// A place found this far from the predicted one says nothing, px.
+    /// Standard deviation of a position found, px.
     pub sigma_px: f64,
     /// Texture a sample needs, in the units of [`garad_features::LkConfig::min_eigenvalue`].
     pub min_eigenvalue: f32,
     /// Largest mean absolute difference of two patches that are the same, grey levels.
     pub max_residual: f32,
-    /// The difference at rest must be so many times that at the place found ...
-    pub better_ratio: f64,
-    /// ... and so many grey levels more.
-    pub better_by: f64,
-    /// Samples with something nearer than this before them in their window are not asked, metres.
+    /// The residual at the static prediction must be at least so many times that at the position
+    /// found ...
+    #[serde(alias = "better_ratio")]
+    pub min_residual_ratio: f64,
+    /// ... plus this, grey levels.
+    #[serde(alias = "better_by")]
+    pub min_residual_gain: f64,
+    /// Samples with a surface nearer by more than this in their window are left out, metres.
     pub edge_m: f64,
 }
 
-impl DisplacementConfig {
-    /// How far off an age may be: half the least of them.
+impl PatchMotionConfig {
+    /// Tolerance of an age: half the least of them.
     pub(crate) fn slack_frames(&self) -> u32 {
         self.ages_frames.into_iter().min().unwrap_or(0) / 2
     }
 }
 
-impl Default for DisplacementConfig {
+impl Default for PatchMotionConfig {
     fn default() -> Self {
         Self {
             enabled: false,
@@ -103,8 +111,8 @@ impl Default for DisplacementConfig {
             sigma_px: 0.5,
             min_eigenvalue: 5e-3,
             max_residual: 10.0,
-            better_ratio: 1.5,
-            better_by: 1.0,
+            min_residual_ratio: 1.5,
+            min_residual_gain: 1.0,
             edge_m: 0.5,
         }
     }
@@ -115,7 +123,7 @@ impl Default for LabelConfig {
         Self {
             enabled: true,
             bootstrap_frames: 10,
-            second_sight: true,
+            bootstrap_restart: true,
             dilate_px: 8,
             reach_px: 4,
             trust_young: 0.55,
@@ -123,7 +131,7 @@ impl Default for LabelConfig {
             settle_frames: 45,
             trust_unknown: 0.55,
             memory_frames: 90,
-            hindsight: true,
+            mask_freed_space: true,
             step_px: 16,
             noise: DepthNoise {
                 per_m: 3e-3,
@@ -133,7 +141,7 @@ impl Default for LabelConfig {
             max_moving: 0.9,
             edge_ratio: 0.04,
             window: LabelWindowConfig::default(),
-            displacement: DisplacementConfig::default(),
+            patch_motion: PatchMotionConfig::default(),
         }
     }
 }
@@ -147,8 +155,8 @@ const NEARER_HALF_CHI2: f64 = 1.386_294_361_119_890_6;
 pub struct FlowCheckConfig {
     /// Off (`--without flow`): suspects stay suspects.
     pub enabled: bool,
-    /// Flow as measured (the paper to the letter), or what is left after taking off what the
-    /// camera's motion does at the measured depth.
+    /// Flow as measured (as the paper prints it), or minus the flow that the camera's motion
+    /// predicts at the measured depth.
     pub model: FlowModelKind,
     /// How mean and covariance of the static flow are found.
     pub estimator: FlowEstimatorKind,

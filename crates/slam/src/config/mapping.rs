@@ -2,11 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Gaussians seeded from a keyframe's depth.
+/// New Gaussians from a keyframe's landmarks and depth.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct SeedConfig {
-    /// Off: no map is drawn.
+pub struct InsertionConfig {
+    /// Off: there is no map of Gaussians.
     pub enabled: bool,
     /// One candidate every so many pixels, each way.
     pub stride_px: usize,
@@ -24,7 +24,7 @@ pub struct SeedConfig {
     pub max_gaussians: usize,
 }
 
-impl Default for SeedConfig {
+impl Default for InsertionConfig {
     fn default() -> Self {
         Self {
             enabled: true,
@@ -39,7 +39,7 @@ impl Default for SeedConfig {
     }
 }
 
-/// How the map learns the pictures (paper eq. 12, 13, 16).
+/// Training of the map on the keyframes' images (paper eq. 12, 13, 16).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainConfig {
@@ -48,8 +48,9 @@ pub struct TrainConfig {
     /// Further iterations for each frame since the keyframe before.
     pub per_frame: usize,
     /// Iterations after the last frame.
-    pub refine: usize,
-    /// Pictures kept to train on at most, 2.4 MB each at 640 x 480 (decision 010).
+    #[serde(alias = "refine")]
+    pub final_iterations: usize,
+    /// Images kept to train on at most, 2.4 MB each at 640 x 480 (decision 010).
     pub max_views: usize,
     /// Uses of a keyframe at 1/4 and again at 1/2 of its size, before it is used whole.
     pub uses_per_level: usize,
@@ -62,7 +63,7 @@ pub struct TrainConfig {
     /// Weight of the depth error, 1/m. The paper has no such term: 0 is its loss. Without it white
     /// walls drift towards the camera (decision 006).
     pub lambda_depth: f64,
-    /// Who takes the steps.
+    /// The optimiser.
     pub optimiser: Optimiser,
     /// Degree that the colours' spherical harmonics may reach, 0 to 3, ...
     pub sh_degree: usize,
@@ -72,7 +73,7 @@ pub struct TrainConfig {
     pub rates: RateConfig,
 }
 
-/// The paper says "SGD" in its text; its code base and everything built on it uses Adam.
+/// The paper's text says "SGD"; the code it builds on uses Adam.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Optimiser {
@@ -85,10 +86,10 @@ pub enum Optimiser {
 }
 
 impl TrainConfig {
-    /// Whether pictures are kept to train on.
+    /// Whether images are kept to train on.
     #[must_use]
     pub fn keeps_views(&self) -> bool {
-        self.per_keyframe + self.per_frame + self.refine > 0
+        self.per_keyframe + self.per_frame + self.final_iterations > 0
     }
 }
 
@@ -97,7 +98,7 @@ impl Default for TrainConfig {
         Self {
             per_keyframe: 6,
             per_frame: 1,
-            refine: 0,
+            final_iterations: 0,
             max_views: 150,
             uses_per_level: 8,
             lambda_photometric: 0.8,
@@ -112,7 +113,7 @@ impl Default for TrainConfig {
     }
 }
 
-/// Where Gaussians are added and dropped while the map learns (Kerbl et al. 2023).
+/// Adaptive density control: clone, split, prune (Kerbl et al. 2023).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DensifyConfig {
@@ -121,10 +122,10 @@ pub struct DensifyConfig {
     /// Once in so many iterations.
     pub every: usize,
     /// Mean |∂L/∂ centre| from which a Gaussian is cloned or split, per unit of NDC.
-    pub pull: f64,
+    #[serde(alias = "pull")]
+    pub grad_threshold: f64,
     /// Beside tracking, only Gaussians born in the last so many keyframes are cloned and split: a place
-    /// is refined when it is new, and then has what it needs. Refinement after the last frame knows no
-    /// age.
+    /// is refined while it is new. Training after the last frame has no such limit.
     pub young_keyframes: u32,
     /// Those with a standard deviation above this share of the path's extent are split.
     pub split_extent: f64,
@@ -139,7 +140,7 @@ impl Default for DensifyConfig {
         Self {
             enabled: true,
             every: 100,
-            pull: 4e-4,
+            grad_threshold: 4e-4,
             young_keyframes: 100,
             split_extent: 0.01,
             min_opacity: 0.05,

@@ -5,26 +5,20 @@
 //! length of the name u8, the name, length of the value u64, CRC-32 of name and value u32, the value
 //! ```
 //!
-//! Numbers are little-endian. A value is what postcard makes of it: integers as varints, floats as their
+//! Numbers are little-endian. A value is encoded by postcard: integers as varints, floats as their
 //! bits, no names of fields. So it can only be read by the program that wrote it, which is why
-//! the format's number and the program's version stand in front. A value is decoded when its checksum has
-//! been found good, and not before.
+//! the format's number and the program's version stand in front. A value is decoded after its checksum has
+//! been verified.
 
 use std::io::{ErrorKind, Read, Write};
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::SessionError;
+pub use super::error::{FORMAT, PROGRAM, SessionError};
 
-/// What a session begins with.
+/// The first bytes of a session.
 const MAGIC: &[u8; 14] = b"garad session\n";
-
-/// Number of the format; to be raised with every change of what is written or in which order.
-pub const FORMAT: u32 = 5;
-
-/// The version of this program.
-pub const PROGRAM: &str = env!("CARGO_PKG_VERSION");
 
 /// Writes sections, one after the other.
 #[derive(Debug)]

@@ -1,4 +1,4 @@
-//! What each stage writes.
+//! The tensors of each stage.
 
 use garad_core::pyramid::GrayPyramid;
 use garad_core::{DepthImage, GaussianMap, GrayImage, Image, Label, LandmarkId, Real, Se3};
@@ -8,13 +8,14 @@ use garad_features::{Descriptor, LkPyramid, LkTrack};
 use garad_optim::{BundleObservation, DepthObservation, PoseObservation, PoseSolution};
 use nalgebra::{Vector2, Vector3};
 
-use super::{NONE, Page, matrix};
-use crate::frame::Frame;
-use crate::labels::witness::Verdict;
+use super::{NONE, StageRecord, matrix};
+use crate::frame::{Frame, FrameLabels};
+use crate::dynamics::evidence::DepthEvidence;
 use crate::map::Map;
-use crate::mapper::NewLandmark;
-use crate::surface::Surface;
-use crate::system::FrameInput;
+use crate::map::landmark::Appearance;
+use crate::mapping::job::NewLandmark;
+use crate::frame::depth_planes::DepthPlanes;
+use crate::io::FrameInput;
 
 fn id(landmark: Option<LandmarkId>) -> u32 {
     landmark.map_or(NONE, |l| l.0)
@@ -58,29 +59,32 @@ fn third_rows(of: impl Iterator<Item = Option<DepthObservation>>) -> [Vec<f64>; 
     [value, sigma]
 }
 
-impl Page {
+/// x₀, y₀, a, b, c of a depth plane.
+const PLANE_UNIT: &str = "px, 1/(m px), 1/m";
+
+impl StageRecord {
     fn pose(&mut self, made: bool, name: &str, pose: &Se3) {
         let (row, unit) = (matrix(pose), "R | t in m");
         match made {
-            true => self.makes(name, unit, &[4], row),
-            false => self.takes(name, unit, &[4], row),
+            true => self.output(name, unit, &[4], row),
+            false => self.input(name, unit, &[4], row),
         }
     }
 
-    pub(crate) fn picture<T: Clone>(&mut self, name: &str, unit: &'static str, of: &Image<T>)
+    pub(crate) fn image<T: Clone>(&mut self, name: &str, unit: &'static str, of: &Image<T>)
     where
         super::Values: From<Vec<T>>,
     {
-        self.takes(name, unit, &[of.width()], of.data().to_vec());
+        self.input(name, unit, &[of.width()], of.data().to_vec());
     }
 
-    pub(crate) fn input(&mut self, input: &FrameInput<'_>) {
+    pub(crate) fn frame_input(&mut self, input: &FrameInput<'_>) {
         let rgb = input.rgb.data().as_flattened().to_vec();
-        self.takes("t_s", "s", &[], vec![input.t_s]);
-        self.takes("rgb", "1", &[input.rgb.width(), 3], rgb);
-        self.picture("depth_m", "m", input.depth);
+        self.input("t_s", "s", &[], vec![input.t_s]);
+        self.input("rgb", "1", &[input.rgb.width(), 3], rgb);
+        self.image("depth_m", "m", input.depth);
         if let Some(mask) = input.mask {
-            self.picture("mask", "1", mask);
+            self.image("mask", "1", mask);
         }
     }
 
@@ -94,12 +98,12 @@ impl Page {
         frame: &Frame,
     ) {
         let scale = Real::to_f32(scale);
-        self.takes("wanted", "1", &[], vec![wanted as f64]);
-        self.makes("gray", "1", &[gray.width()], gray.data().to_vec());
+        self.input("wanted", "1", &[], vec![wanted as f64]);
+        self.output("gray", "1", &[gray.width()], gray.data().to_vec());
         let pyramid = GrayPyramid::scaled(gray.clone(), scale, levels);
         for (l, level) in pyramid.levels().iter().enumerate().skip(1) {
             let name = format!("level_{l}");
-            self.makes(name, "1", &[level.width()], level.data().to_vec());
+            self.output(name, "1", &[level.width()], level.data().to_vec());
         }
         let keypoints = &frame.keypoints;
         let xy: Vec<f32> = keypoints.iter().flat_map(|k| [k.x, k.y]).collect();
@@ -107,62 +111,59 @@ impl Page {
         let angle: Vec<f32> = keypoints.iter().map(|k| k.angle_deg).collect();
         let response: Vec<f32> = keypoints.iter().map(|k| k.response).collect();
         let descriptors = frame.descriptors.iter().flat_map(Descriptor::to_bytes);
-        self.makes("xy", "px", &[2], xy);
-        self.makes("level", "1", &[], level);
-        self.makes("angle_deg", "deg", &[], angle);
-        self.makes("response", "1", &[], response);
-        self.makes("descriptor", "1", &[32], descriptors.collect::<Vec<u8>>());
+        self.output("xy", "px", &[2], xy);
+        self.output("level", "1", &[], level);
+        self.output("angle_deg", "deg", &[], angle);
+        self.output("response", "1", &[], response);
+        self.output("descriptor", "1", &[32], descriptors.collect::<Vec<u8>>());
     }
 
-    /// Keypoints in the full picture, with what their depth says.
+    /// Keypoints in the full image, with their depth.
     pub(crate) fn keypoints(&mut self, frame: &Frame) {
         let depth = frame.depth_m.iter().map(|d| d.unwrap_or(f64::NAN));
-        self.makes("px", "px", &[2], pairs(&frame.px));
-        self.makes("uv_px", "px", &[2], pairs(&frame.uv_px));
-        self.makes("sigma_px", "px", &[], frame.sigma_px.clone());
-        self.makes("depth_m", "m", &[], depth.collect::<Vec<_>>());
+        self.output("px", "px", &[2], pairs(&frame.px));
+        self.output("uv_px", "px", &[2], pairs(&frame.uv_px));
+        self.output("sigma_px", "px", &[], frame.sigma_px.clone());
+        self.output("depth_m", "m", &[], depth.collect::<Vec<_>>());
         let one = flags(frame.one_surface.iter().copied());
-        self.makes("one_surface", "1", &[], one);
+        self.output("one_surface", "1", &[], one);
         let in_use = flags(frame.in_use.iter().copied());
-        self.makes("in_use", "1", &[], in_use);
+        self.output("in_use", "1", &[], in_use);
     }
 
     /// Per block: x₀, y₀, a, b, c of its plane; NaN without one.
-    pub(crate) fn surface(&mut self, surface: &Surface) {
-        self.makes("patches", "px, 1/(m px), 1/m", &[5], surface.numbers());
+    pub(crate) fn depth_planes(&mut self, planes: &DepthPlanes) {
+        self.output("planes", PLANE_UNIT, &[5], planes.rows_of_numbers());
     }
 
-    pub(crate) fn agreement(
+    /// The pose refined with depth planes: this frame's against those of `references`.
+    pub(crate) fn depth_pose(
         &mut self,
         links: &[PoseObservation],
-        surface: &Surface,
-        then: &[(&Surface, &Se3)],
+        planes: &DepthPlanes,
+        references: &[(&DepthPlanes, &Se3)],
         before: &Se3,
         found: (&Se3, f64),
     ) {
         let uv: Vec<Vector2<f64>> = links.iter().map(|o| o.uv_px).collect();
-        self.takes(
+        self.input(
             "p_world",
             "m",
             &[3],
             triples(links.iter().map(|o| o.p_world)),
         );
-        self.takes("uv_px", "px", &[2], pairs(&uv));
+        self.input("uv_px", "px", &[2], pairs(&uv));
         let sigma: Vec<f64> = links.iter().map(|o| o.sigma_px).collect();
-        self.takes("sigma_px", "px", &[], sigma);
-        self.takes("patches", "px, 1/(m px), 1/m", &[5], surface.numbers());
-        for (k, (then, then_from_world)) in then.iter().enumerate() {
-            self.takes(
-                format!("patches_{k}"),
-                "px, 1/(m px), 1/m",
-                &[5],
-                then.numbers(),
-            );
-            self.pose(false, &format!("pose_{k}"), then_from_world);
+        self.input("sigma_px", "px", &[], sigma);
+        self.input("planes", PLANE_UNIT, &[5], planes.rows_of_numbers());
+        for (k, (planes, reference_from_world)) in references.iter().enumerate() {
+            let rows = planes.rows_of_numbers();
+            self.input(format!("planes_{k}"), PLANE_UNIT, &[5], rows);
+            self.pose(false, &format!("pose_{k}"), reference_from_world);
         }
         self.pose(false, "before", before);
         self.pose(true, "after", found.0);
-        self.makes("cost", "1", &[], vec![found.1]);
+        self.output("cost", "1", &[], vec![found.1]);
     }
 
     pub(crate) fn predict(&mut self, last: &Se3, velocity: &Se3, predicted: &Se3) {
@@ -174,20 +175,20 @@ impl Page {
     /// Which keypoint was linked to which landmark.
     pub(crate) fn links(&mut self, frame: &Frame) {
         let links: Vec<u32> = frame.landmark.iter().map(|l| id(*l)).collect();
-        self.makes("landmark", "1", &[], links);
+        self.output("landmark", "1", &[], links);
     }
 
     /// The landmarks searched for, and what was found.
-    pub(crate) fn local_map(&mut self, visible: &[(LandmarkId, crate::map::Appearance)]) {
+    pub(crate) fn local_map(&mut self, visible: &[(LandmarkId, Appearance)]) {
         let ids: Vec<u32> = visible.iter().map(|(l, _)| l.0).collect();
         let uv: Vec<f64> = visible
             .iter()
             .flat_map(|(_, a)| [a.uv_px.x, a.uv_px.y])
             .collect();
         let level: Vec<u32> = visible.iter().map(|(_, a)| index(a.level)).collect();
-        self.takes("visible", "1", &[], ids);
-        self.takes("visible_uv_px", "px", &[2], uv);
-        self.takes("visible_level", "1", &[], level);
+        self.input("visible", "1", &[], ids);
+        self.input("visible_uv_px", "px", &[2], uv);
+        self.input("visible_level", "1", &[], level);
     }
 
     /// A pose from points; `keypoints[k]` is the one behind observation k.
@@ -203,49 +204,49 @@ impl Page {
         let [right, right_sigma] = third_rows(seen.clone().map(|o| o.depth));
         let uv: Vec<Vector2<f64>> = seen.clone().map(|o| o.uv_px).collect();
         let sigma: Vec<f64> = seen.clone().map(|o| o.sigma_px).collect();
-        self.takes("keypoint", "1", &[], at);
-        self.takes("p_world", "m", &[3], triples(seen.map(|o| o.p_world)));
-        self.takes("uv_px", "px", &[2], pairs(&uv));
-        self.takes("sigma_px", "px", &[], sigma);
-        self.takes("third_px", "px", &[], right);
-        self.takes("third_sigma_px", "px", &[], right_sigma);
+        self.input("keypoint", "1", &[], at);
+        self.input("p_world", "m", &[3], triples(seen.map(|o| o.p_world)));
+        self.input("uv_px", "px", &[2], pairs(&uv));
+        self.input("sigma_px", "px", &[], sigma);
+        self.input("third_px", "px", &[], right);
+        self.input("third_sigma_px", "px", &[], right_sigma);
         self.pose(false, "before", before);
         self.pose(true, "after", &solution.camera_from_world);
         let inlier = flags(solution.inlier.iter().copied());
-        self.makes("inlier", "1", &[], inlier);
-        self.makes("cost", "1", &[], vec![solution.cost]);
+        self.output("inlier", "1", &[], inlier);
+        self.output("cost", "1", &[], vec![solution.cost]);
     }
 
     /// The field over a frame's samples: keypoints with depth first, then the lattice.
     pub(crate) fn field(
         &mut self,
         nodes: &[Node],
-        verdicts: &[Verdict],
+        evidence: &[DepthEvidence],
         log_odds: &[f64],
         beliefs: &Beliefs,
     ) {
         let px: Vec<_> = nodes.iter().map(|n| n.uv_px.unwrap_or_default()).collect();
-        let residual = verdicts.iter().map(|v| v.residual.unwrap_or(f64::NAN));
-        let agreed: Vec<u32> = verdicts.iter().map(|v| v.agreed_for).collect();
+        let residual = evidence.iter().map(|v| v.residual.unwrap_or(f64::NAN));
+        let agreed: Vec<u32> = evidence.iter().map(|e| e.agreed_frames).collect();
         let points = triples(nodes.iter().map(|n| n.p_world));
-        self.takes("p_world", "m", &[3], points);
-        self.takes("px", "px", &[2], pairs(&px));
-        self.takes("depth_residual", "sigma", &[], residual.collect::<Vec<_>>());
-        self.takes("agreed_for", "frames", &[], agreed);
-        self.makes("log_odds", "nat", &[], log_odds.to_vec());
-        self.makes("belief", "1", &[], beliefs.dynamic.clone());
+        self.input("p_world", "m", &[3], points);
+        self.input("px", "px", &[2], pairs(&px));
+        self.input("depth_residual", "sigma", &[], residual.collect::<Vec<_>>());
+        self.input("agreed_frames", "frames", &[], agreed);
+        self.output("log_odds", "nat", &[], log_odds.to_vec());
+        self.output("belief", "1", &[], beliefs.dynamic.clone());
     }
 
-    pub(crate) fn labels(&mut self, frame: &Frame, cells: Option<&GrayImage>) {
-        if let Some(cells) = cells {
-            self.makes("cells", "1", &[cells.width()], cells.data().to_vec());
-        }
-        self.makes("label", "1", &[], moving(&frame.label));
-        let in_use = flags(frame.in_use.iter().copied());
-        self.makes("in_use", "1", &[], in_use);
+    /// The labels of a frame's keypoints before the flow check, and its mask in cells.
+    pub(crate) fn labels(&mut self, labels: &FrameLabels) {
+        let cells = &labels.cells;
+        self.output("cells", "1", &[cells.width()], cells.data().to_vec());
+        self.output("label", "1", &[], moving(&labels.label));
+        let in_use = flags(labels.in_use.iter().copied());
+        self.output("in_use", "1", &[], in_use);
     }
 
-    /// The flow model of static points and what it says of the suspects.
+    /// The flow model of static points, and the suspects judged by it.
     pub(crate) fn flow(
         &mut self,
         model: &[FlowPoint],
@@ -256,48 +257,48 @@ impl Page {
             let flow: Vec<_> = points.iter().map(|p| p.flow).collect();
             let nan = Vector2::repeat(f64::NAN);
             let predicted: Vec<_> = points.iter().map(|p| p.predicted.unwrap_or(nan)).collect();
-            self.takes(format!("{name}_flow"), "px", &[2], pairs(&flow));
-            self.takes(format!("{name}_predicted"), "px", &[2], pairs(&predicted));
+            self.input(format!("{name}_flow"), "px", &[2], pairs(&flow));
+            self.input(format!("{name}_predicted"), "px", &[2], pairs(&predicted));
         }
         if let FlowFit::Model(fit) = &answer.fit {
             let covariance = fit.covariance.transpose().as_slice().to_vec();
-            self.makes("mean", "px", &[], vec![fit.mean.x, fit.mean.y]);
-            self.makes("covariance", "px^2", &[2], covariance);
+            self.output("mean", "px", &[], vec![fit.mean.x, fit.mean.y]);
+            self.output("covariance", "px^2", &[2], covariance);
         }
         let verdicts = answer.verdicts.iter();
         let distance = verdicts
             .clone()
             .map(|v| v.map_or(f64::NAN, |v| v.distance2));
-        self.makes("distance2", "1", &[], distance.collect::<Vec<_>>());
+        self.output("distance2", "1", &[], distance.collect::<Vec<_>>());
         let inside = flags(verdicts.map(|v| v.is_some_and(|v| v.inside)));
-        self.makes("inside", "1", &[], inside);
+        self.output("inside", "1", &[], inside);
     }
 
-    /// Points of one picture followed into another.
+    /// Points of one image tracked into another.
     pub(crate) fn tracks(
         &mut self,
         [from, to]: [&LkPyramid; 2],
         [points, starts]: [&[[f32; 2]]; 2],
         tracks: &[LkTrack],
     ) {
-        self.picture("from", "1", &from.image());
-        self.picture("to", "1", &to.image());
-        self.takes("points", "px", &[2], points.as_flattened().to_vec());
-        self.takes("starts", "px", &[2], starts.as_flattened().to_vec());
+        self.image("from", "1", &from.image());
+        self.image("to", "1", &to.image());
+        self.input("points", "px", &[2], points.as_flattened().to_vec());
+        self.input("starts", "px", &[2], starts.as_flattened().to_vec());
         let xy: Vec<f32> = tracks.iter().flat_map(|t| t.xy).collect();
-        self.makes("xy", "px", &[2], xy);
+        self.output("xy", "px", &[2], xy);
         let tracked = flags(tracks.iter().map(LkTrack::is_tracked));
-        self.makes("tracked", "1", &[], tracked);
+        self.output("tracked", "1", &[], tracked);
         let residual: Vec<f32> = tracks.iter().map(|t| t.residual).collect();
-        self.makes("residual", "1", &[], residual);
+        self.output("residual", "1", &[], residual);
     }
 
-    /// Whether the frame is kept.
+    /// Whether the frame becomes a keyframe.
     pub(crate) fn decision(&mut self, inliers: usize, frame: &Frame, kept: bool) {
         let linked = frame.landmark.iter().flatten().count();
-        self.takes("inliers", "1", &[], vec![index(inliers)]);
-        self.takes("linked", "1", &[], vec![index(linked)]);
-        self.makes("kept", "1", &[], vec![u8::from(kept)]);
+        self.input("inliers", "1", &[], vec![index(inliers)]);
+        self.input("linked", "1", &[], vec![index(linked)]);
+        self.output("kept", "1", &[], vec![u8::from(kept)]);
     }
 
     /// A keyframe's landmarks through the field, with the paper's cues.
@@ -318,17 +319,17 @@ impl Page {
             ]
         });
         let previous = nodes.iter().map(|n| n.previous.unwrap_or(nan));
-        self.takes("landmark", "1", &[], ids.map(|l| l.0).collect::<Vec<_>>());
+        self.input("landmark", "1", &[], ids.map(|l| l.0).collect::<Vec<_>>());
         let points = triples(nodes.iter().map(|n| n.p_world));
-        self.takes("p_world", "m", &[3], points);
-        self.takes("uv_px", "px", &[2], pairs(&uv));
-        self.takes("cues", "px, sigma, 1, px", &[4], cues.collect::<Vec<_>>());
-        self.takes("previous", "1", &[], previous.collect::<Vec<_>>());
-        self.makes("belief", "1", &[], beliefs.dynamic.clone());
-        self.makes("label", "1", &[], moving(&beliefs.labels));
+        self.input("p_world", "m", &[3], points);
+        self.input("uv_px", "px", &[2], pairs(&uv));
+        self.input("cues", "px, sigma, 1, px", &[4], cues.collect::<Vec<_>>());
+        self.input("previous", "1", &[], previous.collect::<Vec<_>>());
+        self.output("belief", "1", &[], beliefs.dynamic.clone());
+        self.output("label", "1", &[], moving(&beliefs.labels));
     }
 
-    /// What a bundle adjustment is given.
+    /// What goes into a bundle adjustment.
     pub(crate) fn bundle_in(
         &mut self,
         poses: &[Se3],
@@ -345,17 +346,18 @@ impl Page {
         let uv: Vec<_> = seen.clone().map(|o| o.uv_px).collect();
         let sigma: Vec<f64> = seen.map(|o| o.sigma_px).collect();
         let rows: Vec<f64> = poses.iter().flat_map(matrix).collect();
-        self.takes("poses_before", "R | t in m", &[3, 4], rows);
-        self.takes("fixed", "1", &[], flags(fixed.iter().copied()));
+        self.input("poses_before", "R | t in m", &[3, 4], rows);
+        self.input("fixed", "1", &[], flags(fixed.iter().copied()));
         let points = triples(points.iter().copied());
-        self.takes("points_before", "m", &[3], points);
-        self.takes("observation", "pose, point", &[2], of);
-        self.takes("uv_px", "px", &[2], pairs(&uv));
-        self.takes("sigma_px", "px", &[], sigma);
-        self.takes("third_px", "px", &[], third);
-        self.takes("third_sigma_px", "px", &[], third_sigma);
+        self.input("points_before", "m", &[3], points);
+        self.input("observation", "pose, point", &[2], of);
+        self.input("uv_px", "px", &[2], pairs(&uv));
+        self.input("sigma_px", "px", &[], sigma);
+        self.input("third_px", "px", &[], third);
+        self.input("third_sigma_px", "px", &[], third_sigma);
     }
 
+    /// What comes out of it.
     pub(crate) fn bundle_out(
         &mut self,
         poses: &[Se3],
@@ -363,16 +365,16 @@ impl Page {
         report: &garad_optim::BundleReport,
     ) {
         let rows: Vec<f64> = poses.iter().flat_map(matrix).collect();
-        self.makes("poses_after", "R | t in m", &[3, 4], rows);
+        self.output("poses_after", "R | t in m", &[3, 4], rows);
         let points = triples(points.iter().copied());
-        self.makes("points_after", "m", &[3], points);
+        self.output("points_after", "m", &[3], points);
         let inlier = flags(report.inlier.iter().copied());
-        self.makes("inlier", "1", &[], inlier);
+        self.output("inlier", "1", &[], inlier);
         let cost = vec![report.report.cost0, report.report.cost];
-        self.makes("cost", "1", &[], cost);
+        self.output("cost", "1", &[], cost);
     }
 
-    /// Where the frame stands in the end, and the landmarks it sees.
+    /// The frame's final pose, and the landmarks it sees.
     pub(crate) fn trajectory(&mut self, frame: &Frame, map: &Map) {
         self.pose(true, "camera_from_world", &frame.camera_from_world);
         let linked = frame.landmark.iter().flatten();
@@ -380,40 +382,40 @@ impl Page {
             .filter_map(|l| Some((*l, map.landmark(*l)?)))
             .collect();
         let ids: Vec<u32> = living.iter().map(|(l, _)| l.0).collect();
-        self.makes("landmark", "1", &[], ids);
+        self.output("landmark", "1", &[], ids);
         let points = triples(living.iter().map(|(_, l)| l.p_world));
-        self.makes("p_world", "m", &[3], points);
+        self.output("p_world", "m", &[3], points);
     }
 
-    /// What insertion is told: the landmarks that live, and those the keyframe made.
+    /// What insertion reads: all landmarks of the map, and those the keyframe made.
     pub(crate) fn landmarks(&mut self, living: &[LandmarkId], new: &[NewLandmark]) {
         let ids: Vec<u32> = living.iter().map(|l| l.0).collect();
-        self.takes("living", "1", &[], ids);
+        self.input("living", "1", &[], ids);
         let ids: Vec<u32> = new.iter().map(|l| l.id.0).collect();
-        self.takes("new_landmark", "1", &[], ids);
+        self.input("new_landmark", "1", &[], ids);
         let points = triples(new.iter().map(|l| l.p_world));
-        self.takes("new_p_world", "m", &[3], points);
+        self.input("new_p_world", "m", &[3], points);
         let px: Vec<u32> = new.iter().flat_map(|l| l.px.map(index)).collect();
-        self.takes("new_px", "px", &[2], px);
+        self.input("new_px", "px", &[2], px);
     }
 
-    /// A map, with a prefix of `taken` or made.
+    /// A map of Gaussians.
     pub(crate) fn gaussians(&mut self, map: &GaussianMap) {
         let coefficients = map.coefficients();
         let tags: Vec<u32> = map.landmark.iter().map(|l| id(*l)).collect();
-        self.makes("means", "m", &[3], map.means.as_flattened().to_vec());
+        self.output("means", "m", &[3], map.means.as_flattened().to_vec());
         let scales = map.log_scales.as_flattened().to_vec();
-        self.makes("log_scales", "ln m", &[3], scales);
+        self.output("log_scales", "ln m", &[3], scales);
         let quaternions = map.quaternions.as_flattened().to_vec();
-        self.makes("quaternions", "w x y z", &[4], quaternions);
-        self.makes("opacity_logits", "1", &[], map.opacity_logits.clone());
+        self.output("quaternions", "w x y z", &[4], quaternions);
+        self.output("opacity_logits", "1", &[], map.opacity_logits.clone());
         let sh = map.sh.as_flattened().to_vec();
-        self.makes("sh", "1", &[coefficients, 3], sh);
-        self.makes("landmark", "1", &[], tags);
-        self.makes("label", "1", &[], moving(&map.label));
+        self.output("sh", "1", &[coefficients, 3], sh);
+        self.output("landmark", "1", &[], tags);
+        self.output("label", "1", &[], moving(&map.label));
     }
 
-    /// What one training iteration compares.
+    /// One training iteration: target, render and loss.
     pub(crate) fn training(
         &mut self,
         (keyframe, level): (u32, usize),
@@ -424,18 +426,18 @@ impl Page {
     ) {
         let (color, depth, excluded) = target;
         let flat = |i: &Image<[f32; 3]>| i.data().as_flattened().to_vec();
-        self.takes("keyframe", "1", &[], vec![keyframe]);
-        self.takes("level", "1", &[], vec![index(level)]);
+        self.input("keyframe", "1", &[], vec![keyframe]);
+        self.input("level", "1", &[], vec![index(level)]);
         self.pose(false, "camera_from_world", pose);
-        self.takes("target", "1", &[color.width(), 3], flat(color));
+        self.input("target", "1", &[color.width(), 3], flat(color));
         if let Some(depth) = depth {
-            self.picture("measured_m", "m", depth);
+            self.image("measured_m", "m", depth);
         }
-        self.picture("excluded", "1", excluded);
+        self.image("excluded", "1", excluded);
         let (color, depth, opacity) = drawn;
-        self.makes("color", "1", &[color.width(), 3], flat(color));
-        self.makes("depth_m", "m", &[depth.width()], depth.data().to_vec());
-        self.makes("opacity", "1", &[opacity.width()], opacity.data().to_vec());
-        self.makes("loss", "1", &[], vec![loss]);
+        self.output("color", "1", &[color.width(), 3], flat(color));
+        self.output("depth_m", "m", &[depth.width()], depth.data().to_vec());
+        self.output("opacity", "1", &[opacity.width()], opacity.data().to_vec());
+        self.output("loss", "1", &[], vec![loss]);
     }
 }

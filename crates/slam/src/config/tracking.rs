@@ -1,0 +1,185 @@
+//! Features, tracking, depth planes and subpixel matches.
+
+use garad_crf::DepthNoise;
+use serde::{Deserialize, Serialize};
+
+/// Keypoints and the depth they carry.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FeatureConfig {
+    /// ORB features per frame that may be used; more are detected when a part of those in the last
+    /// frame moved.
+    pub count: usize,
+    /// Features detected at most, as a multiple of `count`. 1: never more.
+    #[serde(alias = "most_times")]
+    pub max_oversampling: f64,
+    /// Pyramid factor.
+    pub scale: f64,
+    /// Pyramid levels.
+    pub levels: usize,
+    /// FAST threshold, and the one used where a cell stays empty.
+    pub fast_threshold: u8,
+    /// See `fast_threshold`.
+    pub fast_min_threshold: u8,
+    /// Place keypoints of coarse levels at the centre of what their pixel covers; off: multiply by
+    /// the scale, as ORB-SLAM does. See decision 003.
+    pub exact_levels: bool,
+    /// Depth beyond this is not used, metres.
+    pub max_depth_m: f64,
+    /// A keypoint whose 3x3 depths differ by more than this share of its depth sits on an edge:
+    /// its depth may be the background's, so it is used as a direction only.
+    pub edge_ratio: f64,
+}
+
+impl Default for FeatureConfig {
+    fn default() -> Self {
+        Self {
+            count: 1000,
+            max_oversampling: 2.0,
+            scale: 1.2,
+            levels: 8,
+            fast_threshold: 20,
+            fast_min_threshold: 7,
+            exact_levels: true,
+            max_depth_m: 8.0,
+            edge_ratio: 0.05,
+        }
+    }
+}
+
+/// Tracking: matching radii, distances and the number of matches that count as success.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrackingConfig {
+    /// Hamming distance up to which two descriptors may be the same point.
+    pub match_distance: u32,
+    /// Stricter distance for matches without a predicted position.
+    pub match_distance_strict: u32,
+    /// Radius around the predicted position, px at level 0; doubled once if too few are found.
+    pub motion_radius_px: f64,
+    /// Matches needed from the motion model before a pose is tried.
+    pub motion_min_matches: usize,
+    /// Inliers needed after the motion model or the reference keyframe.
+    pub motion_min_inliers: usize,
+    /// Matches needed with the reference keyframe, and the ratio of best to second distance.
+    pub reference_min_matches: usize,
+    /// See `reference_min_matches`.
+    pub reference_ratio: f32,
+    /// Radius for local-map points seen head on, px at level 0, and for all others.
+    pub local_radius_px: f64,
+    /// See `local_radius_px`.
+    pub local_radius_oblique_px: f64,
+    /// Ratio of best to second distance at the same level in the local map.
+    pub local_ratio: f64,
+    /// Inliers below which the camera is lost, and shortly after it was found again.
+    pub min_inliers: usize,
+    /// See `min_inliers`.
+    pub min_inliers_after_recovery: usize,
+    /// Keyframes in the local map at most.
+    pub max_local_keyframes: usize,
+    /// Virtual stereo: focal length times baseline, px·m.
+    pub bf: f64,
+    /// How a depth reading enters the pose and the bundle.
+    pub depth_residual: DepthResidual,
+    /// For `disparity`: standard deviation of the sensor's depth, px at `bf`: σ_z = σ z² / bf. A
+    /// Kinect alone has 0.05 to 0.08; more leaves room for depth not quite registered to colour.
+    pub disparity_sigma_px: f64,
+}
+
+/// The third residual of an observation with depth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DepthResidual {
+    /// The reading alone, as a disparity with the sensor's σ.
+    Disparity,
+    /// ORB-SLAM's virtual right coordinate, with the σ of the keypoint.
+    #[default]
+    Right,
+}
+
+impl Default for TrackingConfig {
+    fn default() -> Self {
+        Self {
+            match_distance: 100,
+            match_distance_strict: 50,
+            motion_radius_px: 15.0,
+            motion_min_matches: 20,
+            motion_min_inliers: 10,
+            reference_min_matches: 15,
+            reference_ratio: 0.7,
+            local_radius_px: 7.5,
+            local_radius_oblique_px: 12.0,
+            local_ratio: 0.8,
+            min_inliers: 30,
+            min_inliers_after_recovery: 50,
+            max_local_keyframes: 80,
+            bf: 40.0,
+            depth_residual: DepthResidual::Right,
+            disparity_sigma_px: 0.3,
+        }
+    }
+}
+
+/// The part of the depth image in a frame's pose (decision 009).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DepthPlanesConfig {
+    /// Off: keypoints alone decide, as in ORB-SLAM.
+    pub enabled: bool,
+    /// Depth images of so many keyframes are compared with, youngest first.
+    pub keyframes: usize,
+    /// Standard deviation of the mean depth of 16 x 16 pixels: a quarter of `labels.noise`, most of
+    /// which the pixels share.
+    pub noise: DepthNoise,
+    /// Offset at which a block has lost three quarters of its weight, standard deviations.
+    pub outlier_sigmas: f64,
+    /// The same for a keypoint, in standard deviations of its place: px at level 0.
+    pub outlier_px: f64,
+}
+
+impl Default for DepthPlanesConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            keyframes: 3,
+            noise: DepthNoise {
+                per_m: 7.5e-4,
+                floor_m: 2.5e-3,
+            },
+            outlier_sigmas: 3.0,
+            outlier_px: 1.0,
+        }
+    }
+}
+
+/// Matches refined by Lucas-Kanade against the image of the keyframe that first saw them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SubpixelConfig {
+    /// Off: keypoints stay where they were detected, as in ORB-SLAM.
+    pub enabled: bool,
+    /// Keyframes whose images are kept for it, youngest first.
+    pub keyframes: usize,
+    /// Standard deviation of a refined match, px.
+    pub sigma_px: f64,
+    /// A match farther than this from where the pose predicts it is rejected, px.
+    pub max_shift_px: f64,
+    /// So is one whose patches differ by more than this, mean grey levels.
+    pub max_residual: f32,
+    /// Only patches of one surface are tracked: depths 10 px around the keypoint differ from its
+    /// own by no more than this share. Across an edge the two sides move differently.
+    pub surface_ratio: f64,
+}
+
+impl Default for SubpixelConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            keyframes: 20,
+            sigma_px: 0.7,
+            max_shift_px: 3.0,
+            max_residual: 20.0,
+            surface_ratio: 0.05,
+        }
+    }
+}

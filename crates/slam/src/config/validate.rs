@@ -1,0 +1,132 @@
+//! [`Config::validate`].
+
+use garad_crf::CrfError;
+use thiserror::Error;
+
+use super::Config;
+
+/// An invalid configuration.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// Out of its range.
+    #[error("Invalid configuration: {key} = {value}, expected {expected}")]
+    OutOfRange {
+        /// Table and key.
+        key: &'static str,
+        /// Its value.
+        value: f64,
+        /// The valid range.
+        expected: &'static str,
+    },
+    /// A setting of the random field.
+    #[error("Invalid configuration: crf.{0}")]
+    Crf(#[from] CrfError),
+}
+
+impl Config {
+    /// Checks every value that could make a stage meaningless.
+    ///
+    /// # Errors
+    /// [`ConfigError::OutOfRange`] naming the first one.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let (f, t, s) = (&self.features, &self.tracking, &self.insertion);
+        let positive = "a positive number";
+        let share = "a number in (0, 1)";
+        let inside = |low: f64, v: f64, high: f64| v > low && v < high;
+        #[rustfmt::skip]
+        let checks = [
+            ("features.count", f.count as f64, f.count > 0 && f.count <= 100_000, "1..100000"),
+            ("features.max_oversampling", f.max_oversampling, (1.0..=10.0).contains(&f.max_oversampling), "a number from 1 to 10"),
+            ("features.scale", f.scale, inside(1.0, f.scale, 4.0), "a number in (1, 4)"),
+            ("features.levels", f.levels as f64, (1..=16).contains(&f.levels), "1..16"),
+            ("features.fast_min_threshold", f64::from(f.fast_min_threshold),
+             f.fast_min_threshold > 0 && f.fast_min_threshold <= f.fast_threshold, "1..fast_threshold"),
+            ("features.max_depth_m", f.max_depth_m, inside(0.0, f.max_depth_m, f64::INFINITY), positive),
+            ("features.edge_ratio", f.edge_ratio, inside(0.0, f.edge_ratio, f64::INFINITY), positive),
+            ("tracking.bf", t.bf, inside(0.0, t.bf, f64::INFINITY), positive),
+            ("tracking.disparity_sigma_px", t.disparity_sigma_px,
+             inside(0.0, t.disparity_sigma_px, f64::INFINITY), positive),
+            ("tracking.motion_radius_px", t.motion_radius_px,
+             inside(0.0, t.motion_radius_px, 1e4), "a number in (0, 10000)"),
+            ("depth_planes.noise.floor_m", self.depth_planes.noise.floor_m,
+             inside(0.0, self.depth_planes.noise.floor_m, f64::INFINITY), positive),
+            ("depth_planes.noise.per_m", self.depth_planes.noise.per_m,
+             self.depth_planes.noise.per_m >= 0.0 && self.depth_planes.noise.per_m.is_finite(), "0 or a positive number"),
+            ("depth_planes.outlier_sigmas", self.depth_planes.outlier_sigmas,
+             inside(0.0, self.depth_planes.outlier_sigmas, f64::INFINITY), positive),
+            ("depth_planes.outlier_px", self.depth_planes.outlier_px,
+             inside(0.0, self.depth_planes.outlier_px, f64::INFINITY), positive),
+            ("train.lambda_ssim", self.train.lambda_ssim,
+             (0.0..=1.0).contains(&self.train.lambda_ssim), "a number in [0, 1]"),
+            ("train.lambda_depth", self.train.lambda_depth,
+             self.train.lambda_depth >= 0.0 && self.train.lambda_depth.is_finite(), "0 or a positive number"),
+            ("train.sh_degree", self.train.sh_degree as f64, self.train.sh_degree <= 3, "0..3"),
+            ("train.rates.sh_rest_divisor", self.train.rates.sh_rest_divisor,
+             inside(0.0, self.train.rates.sh_rest_divisor, f64::INFINITY), positive),
+            ("densify.every", self.densify.every as f64, self.densify.every > 0, "at least 1"),
+            ("densify.grad_threshold", self.densify.grad_threshold, inside(0.0, self.densify.grad_threshold, f64::INFINITY), positive),
+            ("densify.min_opacity", self.densify.min_opacity, inside(0.0, self.densify.min_opacity, 1.0), share),
+            ("labels.step_px", self.labels.step_px as f64, (4..=128).contains(&self.labels.step_px), "4..128"),
+            ("labels.noise.floor_m", self.labels.noise.floor_m,
+             inside(0.0, self.labels.noise.floor_m, f64::INFINITY), positive),
+            ("labels.noise.per_m", self.labels.noise.per_m,
+             self.labels.noise.per_m >= 0.0 && self.labels.noise.per_m.is_finite(), "0 or a positive number"),
+            ("labels.trust_young", self.labels.trust_young, inside(0.0, self.labels.trust_young, 1.0), share),
+            ("labels.trust_old", self.labels.trust_old, inside(0.0, self.labels.trust_old, 1.0), share),
+            ("labels.settle_frames", f64::from(self.labels.settle_frames), self.labels.settle_frames > 0, "at least 1"),
+            ("labels.trust_unknown", self.labels.trust_unknown,
+             inside(0.0, self.labels.trust_unknown, 1.0), share),
+            ("labels.edge_ratio", self.labels.edge_ratio,
+             inside(0.0, self.labels.edge_ratio, f64::INFINITY), positive),
+            ("labels.patch_motion.sigma_px", self.labels.patch_motion.sigma_px,
+             inside(0.0, self.labels.patch_motion.sigma_px, f64::INFINITY), positive),
+            ("labels.patch_motion.ages_frames",
+             self.labels.patch_motion.ages_frames.map(f64::from).into_iter().fold(f64::INFINITY, f64::min),
+             self.labels.patch_motion.ages_frames.iter().all(|a| *a > 0), "at least 1"),
+            ("flow.covariance_floor_px2", self.flow.covariance_floor_px2,
+             self.flow.covariance_floor_px2 >= 0.0 && self.flow.covariance_floor_px2.is_finite(), "0 or a positive number"),
+            ("flow.min_support", self.flow.min_support as f64, self.flow.min_support >= 3, "at least 3"),
+            ("flow.chi2", self.flow.chi2, inside(0.0, self.flow.chi2, f64::INFINITY), positive),
+            ("loops.max_drift", self.loops.max_drift, inside(0.0, self.loops.max_drift, f64::INFINITY), positive),
+            ("loops.max_drift_floor_m", self.loops.max_drift_floor_m,
+             inside(0.0, self.loops.max_drift_floor_m, f64::INFINITY), positive),
+            ("loops.in_a_row", self.loops.in_a_row as f64, self.loops.in_a_row > 0, "at least 1"),
+            ("loops.min_inliers", self.loops.min_inliers as f64, self.loops.min_inliers >= 3, "at least 3"),
+            ("culling.redundant_share", self.culling.redundant_share,
+             inside(0.0, self.culling.redundant_share, 1.0 + f64::EPSILON), "a number in (0, 1]"),
+            ("culling.observers", self.culling.observers as f64, self.culling.observers > 0, "at least 1"),
+            ("train.max_views", self.train.max_views as f64, self.train.max_views >= 2, "at least 2"),
+            ("keyframes.max_gap", self.keyframes.max_gap as f64, self.keyframes.max_gap > 0, "at least 1"),
+            ("insertion.stride_px", s.stride_px as f64, s.stride_px > 0, "at least 1"),
+            ("insertion.footprint", s.footprint, inside(0.0, s.footprint, f64::INFINITY), positive),
+            ("insertion.opacity", s.opacity, inside(0.0, s.opacity, 1.0), share),
+        ];
+        for (key, value, good, expected) in checks {
+            if !good {
+                return Err(ConfigError::OutOfRange {
+                    key,
+                    value,
+                    expected,
+                });
+            }
+        }
+        self.crf.validate()?;
+        self.labels.window.validate()?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn defaults_are_valid_and_nan_is_not() {
+        Config::default().validate().expect("defaults");
+        let mut config = Config::default();
+        config.tracking.bf = f64::NAN;
+        let error = config.validate().expect_err("NaN");
+        assert!(error.to_string().contains("tracking.bf"), "{error}");
+    }
+}

@@ -1,0 +1,302 @@
+//! What moves: the paper's sections III-A and III-B, and the one place that answers that question
+//! (decision 005).
+//!
+//! ```text
+//! first pose ─→ samples ─→ free space of the last seconds ─→ depth evidence ─→ random field ─┐
+//!                                                                                            │
+//! FrameLabels ←─ flow check of suspects ←─ mask, keypoint labels ←───────────────────────────┘
+//! ```
+//!
+//! The paper labels the tagged Gaussians once per keyframe. A person who walks in has no landmark
+//! yet; so the same field also runs over the samples of every single frame (keypoints and a lattice of
+//! pixels), whose one cue is the depth residual against the free space of earlier keyframes. At a
+//! keyframe it runs over the landmarks of the local map with all four cues.
+//!
+//! | file | what | paper |
+//! |---|---|---|
+//! | [`samples`], [`field`], [`mask`] | a frame's field and its mask | III-A, eq. 1 to 6 |
+//! | [`cues`], [`landmarks`], [`retention`] | a keyframe's landmarks | III-A, eq. 1 to 7 |
+//! | [`free_space`], [`evidence`] | the depth cue | β of eq. 2 |
+//! | [`flow_check`] | suspects restored | III-B, eq. 9, 10 |
+//! | [`bootstrap`] | the first frames | III-A |
+//! | [`patch_motion`] | sideways motion, off by default | decision 012 |
+
+pub(crate) mod bootstrap;
+pub(crate) mod cues;
+pub(crate) mod evidence;
+pub(crate) mod field;
+pub(crate) mod flow_check;
+pub(crate) mod free_space;
+pub(crate) mod landmarks;
+pub(crate) mod mask;
+pub(crate) mod patch_motion;
+pub(crate) mod retention;
+pub(crate) mod samples;
+
+use std::collections::BTreeMap;
+use std::io::{Read, Write};
+
+use garad_core::{DepthImage, FrameId, KeyframeId, Label, LandmarkId, MaskImage};
+use garad_crf::Crf;
+
+use self::bootstrap::{BootstrapBuffer, FutureView, future_views, patch_motion_pyramid};
+use self::evidence::{FreeSpaceHistory, HistoryView};
+use self::field::{FrameView, label_samples};
+use self::flow_check::{PreviousFrame, restore_static};
+use self::free_space::FreeSpace;
+use self::landmarks::label_landmarks;
+use self::patch_motion::reference_images;
+use self::samples::Lattice;
+use crate::config::ConfigError;
+use crate::context::Context;
+use crate::frame::{Frame, FrameLabels};
+use crate::images::ImageStore;
+use crate::io::{FrameInput, SlamError, TrackingState};
+use crate::map::Map;
+use crate::mask::MOVING;
+use crate::session::sections::{SectionReader, SectionWriter, SessionError};
+use crate::trace::Recorder;
+
+/// Share of the first frame's cells that must move for the run to restart: below, it is depth edges.
+const MIN_MOVING: f64 = 0.02;
+
+/// The state behind the labels.
+#[derive(Debug)]
+pub struct Dynamics {
+    lattice: Lattice,
+    crf: Crf,
+    /// Free space seen by the keyframes of the last seconds.
+    free_space: BTreeMap<KeyframeId, FreeSpace>,
+    /// The first frames, until it is known whether the run must restart.
+    bootstrap: Option<BootstrapBuffer>,
+    /// Later frames, while the first ones are processed again.
+    future: Vec<FutureView>,
+}
+
+impl Dynamics {
+    /// No frame seen yet.
+    ///
+    /// # Errors
+    /// [`SlamError::Config`] for an invalid setting of the field.
+    pub fn new(context: &Context) -> Result<Self, SlamError> {
+        let labels = &context.config.labels;
+        let restarts = labels.enabled && labels.bootstrap_restart;
+        Ok(Self {
+            lattice: Lattice::new(&context.camera, labels.step_px),
+            crf: Crf::new(context.config.crf.clone()).map_err(ConfigError::from)?,
+            free_space: BTreeMap::new(),
+            bootstrap: restarts.then(BootstrapBuffer::default),
+            future: Vec::new(),
+        })
+    }
+
+    /// The first frames of a restarted run, with these future views.
+    pub(crate) fn restarted(context: &Context, future: Vec<FutureView>) -> Result<Self, SlamError> {
+        Ok(Self {
+            bootstrap: None,
+            future,
+            ..Self::new(context)?
+        })
+    }
+
+    /// What moves in a frame, from its first pose: the field over its samples, then the flow check of
+    /// the suspects. `None` before the bootstrap is over, or if the history contradicts nearly
+    /// everything.
+    pub(crate) fn label_frame(
+        &self,
+        context: &Context,
+        view: FrameView<'_>,
+        map: &Map,
+        images: &ImageStore,
+        previous: Option<PreviousFrame<'_>>,
+        recorder: &mut Recorder,
+    ) -> Option<FrameLabels> {
+        let now = view.frame.id;
+        let history = self.history(context, map, now);
+        if history.views.is_empty() || !self.is_active(context, now) {
+            return None;
+        }
+        let references = reference_images(context, map, images, &self.future, now);
+        let labels = label_samples(
+            context,
+            view,
+            &self.lattice,
+            &self.crf,
+            &history,
+            &references,
+            recorder,
+        )?;
+        Some(match previous {
+            Some(previous) => restore_static(context, view, previous, labels, recorder),
+            None => labels,
+        })
+    }
+
+    /// Adds a keyframe's free space to the history and labels the landmarks of its local map.
+    /// Returns those whose label changed.
+    pub(crate) fn label_keyframe(
+        &mut self,
+        context: &Context,
+        map: &mut Map,
+        keyframe: KeyframeId,
+        depth: &DepthImage,
+        cells: Option<&MaskImage>,
+        recorder: &mut Recorder,
+    ) -> Vec<(LandmarkId, Label)> {
+        let mut free_space = FreeSpace::new(depth, context.config.features.max_depth_m);
+        if let Some(cells) = cells {
+            free_space.set_moving(cells.clone());
+        }
+        self.free_space.insert(keyframe, free_space);
+        let now = map.keyframe(keyframe).id;
+        let oldest = now.0.saturating_sub(context.config.labels.memory_frames);
+        self.free_space.retain(|k, _| map.keyframe(*k).id.0 >= oldest);
+        if !self.is_active(context, now) {
+            return Vec::new();
+        }
+        let history = self.history(context, map, now);
+        label_landmarks(context, map, keyframe, &self.crf, &history, recorder)
+    }
+
+    /// Whether what moves can be told: not in the first frames, unless future views are known.
+    fn is_active(&self, context: &Context, frame: FrameId) -> bool {
+        frame.0 >= context.config.labels.bootstrap_frames || !self.future.is_empty()
+    }
+
+    /// The free space of the keyframes of the last `memory_frames` frames and of future views.
+    pub(crate) fn history<'a>(
+        &'a self,
+        context: &'a Context,
+        map: &Map,
+        now: FrameId,
+    ) -> FreeSpaceHistory<'a> {
+        let oldest = now.0.saturating_sub(context.config.labels.memory_frames);
+        let recent = self.free_space.iter().filter_map(|(k, free_space)| {
+            let keyframe = map.keyframe(*k);
+            (keyframe.id.0 >= oldest).then_some(HistoryView {
+                free_space,
+                camera_from_world: keyframe.camera_from_world,
+                age_frames: now.0 - keyframe.id.0,
+            })
+        });
+        let future = self.future.iter().map(|view| HistoryView {
+            free_space: &view.free_space,
+            camera_from_world: view.camera_from_world,
+            age_frames: now.0.abs_diff(view.frame.0),
+        });
+        FreeSpaceHistory {
+            camera: &context.camera,
+            noise: &context.config.labels.noise,
+            views: recent.chain(future).collect(),
+        }
+    }
+
+    /// Buffers one of the first frames.
+    pub(crate) fn buffer_frame(&mut self, input: &FrameInput<'_>, frame: &Frame) {
+        if let Some(buffer) = &mut self.bootstrap {
+            buffer.push(input, frame);
+        }
+    }
+
+    /// Whether the run may still restart.
+    pub(crate) fn may_restart(&self) -> bool {
+        self.bootstrap.is_some()
+    }
+
+    /// No restart from here on.
+    pub(crate) fn end_bootstrap(&mut self) {
+        self.bootstrap = None;
+    }
+
+    /// Forgets everything seen, so that frames are tracked in a finished map.
+    pub(crate) fn clear(&mut self) {
+        self.end_bootstrap();
+        self.free_space.clear();
+    }
+
+    /// The first frames are over and are no longer processed again.
+    pub(crate) fn drop_future(&mut self) {
+        self.future.clear();
+    }
+
+    /// Called after every frame, with the state it left: once the buffer is full, the buffered
+    /// frames and their future views if something moves in the first of them.
+    pub(crate) fn check_bootstrap(
+        &mut self,
+        context: &Context,
+        state: TrackingState,
+        map: &Map,
+        images: &ImageStore,
+        recorder: &mut Recorder,
+    ) -> Option<(BootstrapBuffer, Vec<FutureView>)> {
+        match (state, &mut self.bootstrap) {
+            (TrackingState::Tracking, _) | (_, None) => {}
+            (TrackingState::NotInitialised, Some(buffer)) => buffer.frames.clear(),
+            (TrackingState::Lost, lost) => *lost = None,
+        }
+        let enough = context.config.labels.bootstrap_frames as usize;
+        let buffer = self.bootstrap.take_if(|b| b.frames.len() >= enough)?;
+        let future = future_views(context, &buffer);
+        let by_future_alone = Self {
+            lattice: self.lattice.clone(),
+            crf: self.crf.clone(),
+            free_space: BTreeMap::new(),
+            bootstrap: None,
+            future,
+        };
+        let moving = by_future_alone.moving_share(context, &buffer, map, images, recorder);
+        (moving >= MIN_MOVING).then_some((buffer, by_future_alone.future))
+    }
+
+    /// Share of the first buffered frame's cells that move.
+    fn moving_share(
+        &self,
+        context: &Context,
+        buffer: &BootstrapBuffer,
+        map: &Map,
+        images: &ImageStore,
+        recorder: &mut Recorder,
+    ) -> f64 {
+        let Some(first) = buffer.frames.first() else {
+            return 0.0;
+        };
+        let input = first.input();
+        let pyramid = patch_motion_pyramid(context, input.rgb);
+        let view = FrameView {
+            frame: &first.frame,
+            depth: input.depth,
+            pyramid: pyramid.as_ref(),
+        };
+        let labels = self.label_frame(context, view, map, images, None, recorder);
+        labels.map_or(0.0, |labels| {
+            let cells = labels.cells.data();
+            let moving = cells.iter().filter(|c| **c == MOVING).count();
+            moving as f64 / cells.len() as f64
+        })
+    }
+
+    /// Writes what a session must keep.
+    pub(crate) fn save<W: Write>(&self, to: &mut SectionWriter<W>) -> Result<(), SessionError> {
+        let Self {
+            lattice: _, // from the camera
+            crf: _,     // from the configuration
+            free_space,
+            bootstrap,
+            future: _, // within one frame
+        } = self;
+        to.put("free_space", free_space)?;
+        to.put("bootstrap", bootstrap)
+    }
+
+    /// Reads what [`Dynamics::save`] wrote.
+    pub(crate) fn load<R: Read>(
+        from: &mut SectionReader<R>,
+        context: &Context,
+    ) -> Result<Self, SessionError> {
+        Ok(Self {
+            free_space: from.take("free_space")?,
+            bootstrap: from.take("bootstrap")?,
+            ..Self::new(context)?
+        })
+    }
+}

@@ -1,0 +1,331 @@
+//! The random field over one frame (eq. 1 to 6): samples, their depth evidence, labels and mask.
+//!
+//! ```text
+//! first pose ─→ samples of the frame ─→ free space of the last seconds ─→ depth evidence
+//!                                                                              │
+//!            keypoint labels, mask in cells ←─ beliefs ←─ random field ←───────┘
+//! ```
+
+use garad_core::{DepthImage, Label, Real};
+use garad_crf::{Crf, Cues, Node, unary};
+use garad_features::LkPyramid;
+
+use super::evidence::{DepthEvidence, FreeSpaceHistory};
+use super::mask::{label_at, mask_from_beliefs};
+use super::patch_motion::{ReferenceImage, add_patch_motion};
+use super::samples::{Lattice, Sample, keypoint_samples};
+use crate::config::Config;
+use crate::context::Context;
+use crate::frame::{Frame, FrameLabels};
+use crate::mask::{self, CELL_PX};
+use crate::trace::Recorder;
+
+/// A frame to be labelled, and its images.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct FrameView<'a> {
+    pub(crate) frame: &'a Frame,
+    pub(crate) depth: &'a DepthImage,
+    pub(crate) pyramid: Option<&'a LkPyramid>,
+}
+
+/// Labels a frame's keypoints and mask from its first pose. `None` if the history contradicts
+/// nearly every sample, which is a wrong pose rather than a crowd.
+pub(crate) fn label_samples(
+    context: &Context,
+    view: FrameView<'_>,
+    lattice: &Lattice,
+    crf: &Crf,
+    history: &FreeSpaceHistory<'_>,
+    references: &[ReferenceImage<'_>],
+    recorder: &mut Recorder,
+) -> Option<FrameLabels> {
+    let config = &context.config;
+    let FrameView { frame, depth, .. } = view;
+    let keypoints = keypoint_samples(frame, &context.camera);
+    let blocks = lattice.samples(frame, depth, context);
+    let samples: Vec<Sample> = keypoints
+        .iter()
+        .map(|(_, sample)| *sample)
+        .chain(blocks.iter().flatten().copied())
+        .collect();
+    let mut evidence = depth_evidence(context, history, &samples);
+    if let Some(pyramid) = view.pyramid {
+        add_patch_motion(context, view, pyramid, references, &samples, &mut evidence);
+    }
+    let judged = evidence.iter().filter_map(|e| e.residual);
+    let suspects = judged
+        .clone()
+        .filter(|r| *r > config.labels.suspect_sigmas);
+    let (judged, suspects) = (judged.count(), suspects.count());
+    if suspects as f64 > config.labels.max_moving * judged as f64 {
+        return None;
+    }
+    let nodes: Vec<Node> = samples
+        .iter()
+        .map(|sample| Node {
+            p_world: sample.p_world,
+            uv_px: Some(sample.px),
+            ..Node::default()
+        })
+        .collect();
+    let log_odds: Vec<f64> = evidence.iter().map(|e| log_odds(config, e)).collect();
+    let beliefs = crf
+        .infer_from_log_odds(&nodes, &log_odds, context.par)
+        .expect("samples and log-odds are finite, one of each per node");
+    recorder.record("label", |record| {
+        record.field(&nodes, &evidence, &log_odds, &beliefs);
+    });
+
+    let (of_keypoints, of_lattice) = beliefs.dynamic.split_at(keypoints.len());
+    let cells = mask_from_beliefs(lattice, &blocks, of_lattice, depth, config);
+    let mut label: Vec<Label> = frame.px.iter().map(|px| label_at(&cells, px)).collect();
+    // Keypoints crowd where there is texture and support each other there; the lattice is even.
+    for ((i, _), belief) in keypoints.iter().zip(of_keypoints) {
+        if *belief > config.crf.threshold {
+            label[*i] = Label::Dynamic;
+        }
+    }
+    let near = mask::dilated(&cells, config.labels.reach_px.div_ceil(CELL_PX));
+    let in_use = (frame.px.iter().zip(&label))
+        .map(|(px, label)| *label == Label::Static && label_at(&near, px) == Label::Static);
+    let labels = FrameLabels {
+        in_use: in_use.collect(),
+        suspect: label.iter().map(|l| *l == Label::Dynamic).collect(),
+        label,
+        cells,
+    };
+    recorder.record("masks", |record| record.labels(&labels));
+    Some(labels)
+}
+
+/// The evidence on every sample.
+fn depth_evidence(
+    context: &Context,
+    history: &FreeSpaceHistory<'_>,
+    samples: &[Sample],
+) -> Vec<DepthEvidence> {
+    let query = |range: std::ops::Range<usize>| {
+        let evidence = range.map(|i| history.query(&samples[i].p_world));
+        evidence.collect::<Vec<_>>()
+    };
+    context.par.map_chunks(samples.len(), 128, query).concat()
+}
+
+/// ln((1 - P) / P) of a sample, with P(static) = likelihood of its depth residual (eq. 2) times a
+/// prior that grows with the age of the evidence.
+///
+/// A surface seen at this position a moment ago says little: a person takes a second to leave
+/// their own outline. One seen there a second ago says a lot.
+fn log_odds(config: &Config, evidence: &DepthEvidence) -> f64 {
+    let labels = &config.labels;
+    let unary = &config.crf.unary;
+    let (prior, likelihood) = match evidence.residual {
+        None => (labels.trust_unknown, 1.0),
+        Some(_) => {
+            let settled = f64::from(evidence.agreed_frames) / f64::from(labels.settle_frames);
+            let [young, old] = [labels.trust_young, labels.trust_old];
+            let cues = Cues {
+                depth_residual: evidence.residual,
+                ..Cues::default()
+            };
+            let prior = young + (old - young) * settled.min(1.0);
+            (prior, unary::p_static(&cues, unary))
+        }
+    };
+    let p = (likelihood * prior).max(unary.clamp);
+    Real::ln((1.0 - p) / p)
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use garad_core::{GrayImage, KeyframeId, Par, Rng, Se3};
+    use garad_features::{Descriptor, Keypoint};
+
+    use super::*;
+    use crate::config::Config;
+    use crate::frame::Levels;
+    use crate::labels::witness::Witness;
+
+    /// Has kept frames 0, 20 and 40, all of this.
+    fn slam_that_saw(depth: &DepthImage, config: Config) -> Slam {
+        let mut slam = slam(config);
+        for id in [0, 20, 40] {
+            let seen = frame(&slam, id, depth);
+            keep(&mut slam, seen, depth);
+        }
+        slam
+    }
+
+    fn moving_share(cells: &MaskImage) -> f64 {
+        let moving = cells.data().iter().filter(|c| **c == MOVING).count();
+        moving as f64 / cells.data().len() as f64
+    }
+
+    #[test]
+    fn what_has_come_moves_to_the_cell() {
+        let slam = slam_that_saw(&wall(), Config::default());
+        let box_px = [[48, 112], [32, 96]];
+        let depth = wall_behind(box_px);
+        let mut now = frame(&slam, 60, &depth);
+        let cells = slam.label_frame(&mut now, &depth, None).expect("labelled");
+        let expected = MaskImage::from_fn(40, 30, |x, y| {
+            if is_in(box_px, 4 * x, 4 * y) {
+                MOVING
+            } else {
+                0
+            }
+        });
+        assert_eq!(cells, expected, "the box and nothing else");
+        let near = [[44, 116], [28, 100]];
+        for (i, [x, y]) in places().into_iter().enumerate() {
+            let label = match is_in(box_px, x, y) {
+                true => Label::Dynamic,
+                false => Label::Static,
+            };
+            assert_eq!(now.label[i], label, "({x}, {y})");
+            let in_use = !is_in(near, x, y);
+            assert_eq!(now.in_use[i], in_use, "({x}, {y}), 4 px around the box");
+        }
+        let full = full_size(&cells, (160, 120));
+        let same = |x, y| (full[(x, y)] == MOVING) == is_in(box_px, x, y);
+        assert!(places().iter().all(|&[x, y]| same(x, y)), "full size");
+    }
+
+    /// What a thing uncovers as it goes was hidden until now: nobody says anything against it.
+    #[test]
+    fn what_is_uncovered_does_not_move() {
+        let slam = slam_that_saw(&wall_behind([[48, 112], [32, 96]]), Config::default());
+        let mut now = frame(&slam, 60, &wall());
+        let cells = slam.label_frame(&mut now, &wall(), None).expect("labelled");
+        assert!(moving_share(&cells) <= 0.0, "an empty wall");
+        assert!(now.in_use.iter().all(|u| *u), "all of it in use");
+    }
+
+    #[test]
+    fn nothing_is_said_before_the_bootstrap_or_without_a_witness() {
+        let mut slam = slam(Config::default());
+        let mut early = frame(&slam, 9, &wall());
+        assert!(
+            slam.label_frame(&mut early, &wall(), None).is_none(),
+            "frame 9"
+        );
+        let mut alone = frame(&slam, 10, &wall());
+        assert!(
+            slam.label_frame(&mut alone, &wall(), None).is_none(),
+            "no witness"
+        );
+        keep(&mut slam, early.clone(), &wall());
+        assert!(
+            slam.label_frame(&mut early, &wall(), None).is_none(),
+            "frame 9"
+        );
+        assert!(
+            slam.label_frame(&mut alone, &wall(), None).is_some(),
+            "frame 10"
+        );
+    }
+
+    #[test]
+    fn a_witness_is_asked_for_so_many_frames() {
+        let slam = slam_that_saw(&wall(), Config::default());
+        let depth = wall_behind([[48, 112], [32, 96]]);
+        for (id, asked) in [(130, true), (131, false)] {
+            let mut now = frame(&slam, id, &depth);
+            let cells = slam.label_frame(&mut now, &depth, None).expect("labelled");
+            assert_eq!(moving_share(&cells) > 0.0, asked, "frame {id}: 40 + 90");
+        }
+    }
+
+    /// Of the ten columns of samples, nine may be suspects (`max_moving` = 0.9), not ten.
+    #[test]
+    fn nearly_everything_moving_is_a_wrong_pose() {
+        let mut config = Config::default();
+        let mut slam = slam_that_saw(&wall(), config.clone());
+        let mut nine = wall_behind([[0, 144], [0, 120]]);
+        let mut now = frame(&slam, 60, &nine);
+        let labelled = slam.label_frame(&mut now, &nine, None);
+        assert!(
+            moving_share(&labelled.expect("nine of ten")) > 0.85,
+            "nearly all"
+        );
+
+        nine = wall_behind([[0, 160], [0, 120]]);
+        now = frame(&slam, 60, &nine);
+        assert!(
+            slam.label_frame(&mut now, &nine, None).is_none(),
+            "ten of ten"
+        );
+        assert!(now.label.iter().all(|l| *l == Label::Static), "no label");
+        assert!(now.in_use.iter().all(|u| *u), "none put aside");
+
+        // The same wall, but the pose is a metre off: everything floats in front of it.
+        let step = Se3::exp(&[0.0, 0.0, 1.0, 0.0, 0.0, 0.0].into());
+        let mut lost = frame(&slam, 60, &wall());
+        lost.camera_from_world = step;
+        assert!(
+            slam.label_frame(&mut lost, &wall(), None).is_none(),
+            "a metre off"
+        );
+        lost.camera_from_world = Se3::identity();
+        let right = slam
+            .label_frame(&mut lost, &wall(), None)
+            .expect("right pose");
+        assert!(moving_share(&right) <= 0.0, "the wall");
+
+        config.labels.max_moving = 1.0;
+        slam = slam_that_saw(&wall(), config);
+        lost.camera_from_world = step;
+        let cells = slam
+            .label_frame(&mut lost, &wall(), None)
+            .expect("no guard");
+        // What lies within the old picture: (2/3)² of it.
+        assert!(moving_share(&cells) > 0.4, "{}", moving_share(&cells));
+    }
+
+    #[test]
+    fn trust_grows_with_the_age_of_the_agreement() {
+        let slam = slam(Config::default());
+        let odds = |residual, agreed_for| {
+            slam.log_odds(&Verdict {
+                residual,
+                agreed_for,
+            })
+        };
+        let unknown = Real::ln(0.45f64 / 0.55);
+        assert!((odds(None, 0) - unknown).abs() < 1e-12, "a coin, nearly");
+        let ages = [0, 15, 30, 45].map(|age| odds(Some(0.0), age));
+        assert!(ages.is_sorted_by(|a, b| a > b), "older, surer: {ages:?}");
+        assert!((odds(Some(0.0), 90) - ages[3]).abs() < 1e-15, "settled");
+        assert!(ages[3] < 0.0, "settled is static");
+        // Up to 2 σ is as good as none; the likelihood falls with σ = 1.5 from there.
+        let residuals = [2.0, 3.5, 5.0, 9.0].map(|r| odds(Some(r), 45));
+        assert!((residuals[0] - ages[3]).abs() < 1e-15, "{residuals:?}");
+        let p = 0.97 * Real::exp(-0.5f64);
+        assert!(
+            (residuals[1] - Real::ln((1.0 - p) / p)).abs() < 1e-12,
+            "{residuals:?}"
+        );
+        assert!(residuals.is_sorted_by(|a, b| a < b), "{residuals:?}");
+        assert!(residuals[1] < 0.0 && residuals[2] > 0.0, "{residuals:?}");
+        assert!(odds(Some(1e9), 0).is_finite(), "clamped");
+    }
+
+    #[test]
+    fn samples_look_beside_a_hole() {
+        let slam = slam(Config::default());
+        let mut depth = wall();
+        for (x, y) in [(8, 8), (9, 8), (7, 8), (8, 9)] {
+            depth[(x, y)] = 0.0;
+        }
+        for y in 0..16 {
+            depth.row_mut(y)[16..48].fill(0.0);
+        }
+        depth[(40, 8)] = 8.5;
+        let samples = slam.lattice.samples(&depth, 8.0);
+        assert_eq!(samples.len(), 80, "10 x 8");
+        assert_eq!(samples[0], Some(([8, 7], 3.0)), "above the hole");
+        assert_eq!(samples[1], None, "nothing in reach");
+        assert_eq!(samples[2], None, "too far");
+        assert_eq!(samples[3], Some(([56, 8], 3.0)), "the middle of its block");
+    }
+}

@@ -1,0 +1,227 @@
+//! [`FreeSpace`]: which part of the world a depth image shows to be empty.
+//!
+//! A camera that measured 3 m along a ray saw free space up to there. A point now found in front of
+//! that surface was not there then: it has moved in. A point of the map in front of the surface
+//! that the present image shows has moved away. Both are one test; the opposite, a point behind the
+//! surface, proves nothing, since it may have been occluded.
+//!
+//! ```text
+//! camera ────────────── free space ──────────────┃ surface ░░ occluded ░░
+//!                 a point here: InFront    OnSurface       Occluded
+//! ```
+
+use garad_core::{Camera, DepthImage, Image, Label, MaskImage, Se3};
+use garad_crf::DepthNoise;
+use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::mask::{CELL_PX, MOVING};
+
+/// Depth range of a moving object within 12 pixels, metres.
+const BODY_DEPTH_M: f64 = 0.2;
+
+/// A depth image in cells of 4 x 4 pixels.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct FreeSpace {
+    /// Nearest and farthest depth in the 3 x 3 cells around, metres; 0 where there is none.
+    near: Image<f32>,
+    far: Image<f32>,
+    /// The mask of what moves there, if it is known.
+    moving: Option<MaskImage>,
+}
+
+/// A point as seen by a depth image.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Visibility {
+    /// Outside the image, or no depth there.
+    Unknown,
+    /// Behind the surface.
+    Occluded,
+    /// On a surface with this label.
+    OnSurface(Label),
+    /// In front of the nearest surface around, by this many standard deviations of the sensor.
+    InFront(f64),
+}
+
+impl FreeSpace {
+    /// Depth in metres; 0, NaN and depths beyond `max_depth_m` are missing.
+    pub(crate) fn new(depth: &DepthImage, max_depth_m: f64) -> Self {
+        let (width, height) = depth.size();
+        let (columns, rows) = (width.div_ceil(CELL_PX), height.div_ceil(CELL_PX));
+        let mut near = Image::new(columns, rows, f32::INFINITY);
+        let mut far = Image::new(columns, rows, 0.0f32);
+        for y in 0..height {
+            let row = y / CELL_PX;
+            for (x, &z) in depth.row(y).iter().enumerate() {
+                if z > 0.0 && f64::from(z) <= max_depth_m {
+                    let cell = (x / CELL_PX, row);
+                    near[cell] = near[cell].min(z);
+                    far[cell] = far[cell].max(z);
+                }
+            }
+        }
+        let least = around(&near, f32::INFINITY, f32::min);
+        Self {
+            near: least.map(|z| if z.is_finite() { *z } else { 0.0 }),
+            far: around(&far, 0.0, f32::max),
+            moving: None,
+        }
+    }
+
+    /// Sets the mask of what moves (255), in cells.
+    pub(crate) fn set_moving(&mut self, cells: MaskImage) {
+        self.moving = Some(cells);
+    }
+
+    /// The visibility of a point in this image, taken by `camera` from this pose.
+    pub(crate) fn query(
+        &self,
+        p_world: &Vector3<f64>,
+        camera: &Camera,
+        camera_from_world: &Se3,
+        noise: &DepthNoise,
+    ) -> Visibility {
+        let p_cam = *camera_from_world * *p_world;
+        let Some((x, y)) = cell_of(&p_cam, camera) else {
+            return Visibility::Unknown;
+        };
+        let (Some(&near), Some(&far)) = (self.near.get(x, y), self.far.get(x, y)) else {
+            return Visibility::Unknown;
+        };
+        if near <= 0.0 {
+            return Visibility::Unknown;
+        }
+        let (z, near, far) = (p_cam.z, f64::from(near), f64::from(far));
+        let sigma_m = noise.sigma_m(near);
+        if z < near - sigma_m {
+            Visibility::InFront((near - z) / sigma_m)
+        } else if z <= far + 3.0 * sigma_m {
+            let moving = self.moving.as_ref().and_then(|m| m.get(x, y)) == Some(&MOVING);
+            match moving {
+                false => Visibility::OnSurface(Label::Static),
+                // A surface well behind the moving object's nearest point is not part of it.
+                true if z > near + BODY_DEPTH_M => Visibility::Occluded,
+                true => Visibility::OnSurface(Label::Dynamic),
+            }
+        } else {
+            Visibility::Occluded
+        }
+    }
+}
+
+/// The cell a point of the camera's frame falls into; `None` behind the camera or outside the image.
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "compared with the image's bounds before the cast"
+)]
+fn cell_of(p_cam: &Vector3<f64>, camera: &Camera) -> Option<(usize, usize)> {
+    let px: Vector2<f64> = camera.distort_pixel(&camera.project(p_cam)?);
+    let (x, y) = ((px.x + 0.5).floor(), (px.y + 0.5).floor());
+    let inside = x >= 0.0 && y >= 0.0 && x < camera.width as f64 && y < camera.height as f64;
+    inside.then_some((x as usize / CELL_PX, y as usize / CELL_PX))
+}
+
+/// `best` of the 3 x 3 cells around each.
+fn around(cells: &Image<f32>, worst: f32, best: impl Fn(f32, f32) -> f32) -> Image<f32> {
+    let (width, height) = cells.size();
+    let of = |values: &mut dyn Iterator<Item = f32>| values.fold(worst, &best);
+    let rows = Image::from_fn(width, height, |x, y| {
+        let row = cells.row(y);
+        of(&mut row[x.saturating_sub(1)..(x + 2).min(width)].iter().copied())
+    });
+    Image::from_fn(width, height, |x, y| {
+        of(&mut (y.saturating_sub(1)..(y + 2).min(height)).map(|y| rows[(x, y)]))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera() -> Camera {
+        Camera::pinhole((64, 48), [60.0, 60.0, 31.5, 23.5]).expect("valid")
+    }
+
+    fn query(free_space: &FreeSpace, p: [f64; 3]) -> Visibility {
+        let noise = DepthNoise {
+            per_m: 0.0,
+            floor_m: 0.1,
+        };
+        free_space.query(&Vector3::from(p), &camera(), &Se3::identity(), &noise)
+    }
+
+    #[test]
+    fn a_point_belongs_to_the_cell_of_the_nearest_pixel() {
+        // At z = 60 m, x and y are pixels from (31.5, 23.5); pixels 0 to 3 are the first cell.
+        let cell = |u: f64, v: f64| cell_of(&Vector3::new(u - 31.5, v - 23.5, 60.0), &camera());
+        assert_eq!(cell(3.4, 0.0), Some((0, 0)), "pixel 3");
+        assert_eq!(cell(3.6, 0.0), Some((1, 0)), "pixel 4");
+        assert_eq!(cell(0.0, 7.4), Some((0, 1)), "pixel 7");
+        assert_eq!(cell(0.0, 7.6), Some((0, 2)), "pixel 8");
+        assert_eq!(cell(-0.4, 47.4), Some((0, 11)), "the outermost pixels");
+        assert_eq!(cell(-0.6, 0.0), None, "left of them");
+        assert_eq!(cell(0.0, 47.6), None, "below them");
+    }
+
+    #[test]
+    fn in_front_on_behind_outside() {
+        let mut free_space = FreeSpace::new(&DepthImage::new(64, 48, 3.0), 8.0);
+        assert_eq!(
+            query(&free_space, [0.0, 0.0, 2.5]),
+            Visibility::InFront(5.0),
+            "half a metre of free space, σ 0.1 m"
+        );
+        assert_eq!(
+            query(&free_space, [0.0, 0.0, 2.95]),
+            Visibility::OnSurface(Label::Static),
+            "within a σ"
+        );
+        assert_eq!(
+            query(&free_space, [0.0, 0.0, 3.5]),
+            Visibility::Occluded,
+            "behind"
+        );
+        assert_eq!(
+            query(&free_space, [9.0, 0.0, 3.0]),
+            Visibility::Unknown,
+            "beside"
+        );
+        assert_eq!(
+            query(&free_space, [0.0, 0.0, -1.0]),
+            Visibility::Unknown,
+            "behind the camera"
+        );
+        free_space.set_moving(MaskImage::new(16, 12, MOVING));
+        assert_eq!(
+            query(&free_space, [0.0, 0.0, 3.0]),
+            Visibility::OnSurface(Label::Dynamic),
+            "on something that moved"
+        );
+    }
+
+    #[test]
+    fn no_point_is_in_front_beside_a_depth_edge() {
+        let depth = DepthImage::from_fn(64, 48, |x, _| match x {
+            0..=31 => 1.0,
+            32..=47 => 3.0,
+            _ => 0.0,
+        });
+        let free_space = FreeSpace::new(&depth, 8.0);
+        // The ray of column 33 shows 3 m, but 1 m is a cell away.
+        let beside_the_edge = [1.5 / 60.0 * 2.0, 0.0, 2.0];
+        assert_eq!(
+            query(&free_space, beside_the_edge),
+            Visibility::OnSurface(Label::Static),
+            "between the two surfaces"
+        );
+        let away_from_it = [11.0 / 60.0 * 2.0, 0.0, 2.0];
+        assert_eq!(
+            query(&free_space, away_from_it),
+            Visibility::InFront(10.0),
+            "only 3 m around"
+        );
+        let missing = [28.0 / 60.0 * 2.0, 0.0, 2.0];
+        assert_eq!(query(&free_space, missing), Visibility::Unknown, "no depth");
+    }
+}

@@ -1,0 +1,101 @@
+//! [`Sample`]: the nodes of a frame's field, keypoints with depth and a lattice of pixels.
+
+use garad_core::{Camera, DepthImage};
+use nalgebra::{Vector2, Vector3};
+
+use crate::context::Context;
+use crate::frame::Frame;
+
+/// One sample in the field.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sample {
+    pub(crate) px: Vector2<f64>,
+    pub(crate) depth_m: f64,
+    pub(crate) p_world: Vector3<f64>,
+}
+
+/// Keypoints with depth, by index.
+pub(crate) fn keypoint_samples(frame: &Frame, camera: &Camera) -> Vec<(usize, Sample)> {
+    (0..frame.len())
+        .filter_map(|i| {
+            let sample = Sample {
+                px: frame.px[i],
+                depth_m: frame.depth_m[i]?,
+                p_world: frame.world_point(i, camera)?,
+            };
+            let finite = sample.p_world.iter().all(|v| v.is_finite());
+            finite.then_some((i, sample))
+        })
+        .collect()
+}
+
+/// The lattice of samples: one pixel at the centre of every block.
+#[derive(Debug, Clone)]
+pub(crate) struct Lattice {
+    pub(super) step_px: usize,
+    pub(super) columns: usize,
+    pub(super) rows: usize,
+}
+
+impl Lattice {
+    pub(crate) fn new(camera: &Camera, step_px: usize) -> Self {
+        Self {
+            step_px,
+            columns: camera.width.div_ceil(step_px),
+            rows: camera.height.div_ceil(step_px),
+        }
+    }
+
+    fn len(&self) -> usize {
+        self.columns * self.rows
+    }
+
+    /// Pixel and depth of every sample: the depth nearest to the centre of its block.
+    fn depths(&self, depth: &DepthImage, max_depth_m: f64) -> Vec<Option<([usize; 2], f64)>> {
+        let (width, height) = depth.size();
+        let half = self.step_px / 2;
+        (0..self.len())
+            .map(|i| {
+                let x = ((i % self.columns) * self.step_px + half).min(width - 1);
+                let y = ((i / self.columns) * self.step_px + half).min(height - 1);
+                // Outwards along the row and the column: a hole in the depth is often small.
+                let reach = 0..half;
+                let beside = reach.flat_map(|r| {
+                    [
+                        (x + r, y),
+                        (x.saturating_sub(r), y),
+                        (x, y + r),
+                        (x, y.saturating_sub(r)),
+                    ]
+                });
+                beside
+                    .filter_map(|(x, y)| Some(([x, y], f64::from(*depth.get(x, y)?))))
+                    .find(|(_, z)| *z > 0.0 && *z <= max_depth_m)
+            })
+            .collect()
+    }
+
+    /// The samples of a frame, block by block; `None` without depth nearby.
+    pub(crate) fn samples(
+        &self,
+        frame: &Frame,
+        depth: &DepthImage,
+        context: &Context,
+    ) -> Vec<Option<Sample>> {
+        let camera = &context.camera;
+        let world_from_camera = frame.camera_from_world.inverse();
+        let depths = self.depths(depth, context.config.features.max_depth_m);
+        let sample = |found: Option<([usize; 2], f64)>| {
+            let ([x, y], depth_m) = found?;
+            let px = Vector2::new(x as f64, y as f64);
+            let uv_px = camera.undistort_pixel(&px)?;
+            Some(Sample {
+                px,
+                depth_m,
+                p_world: world_from_camera * camera.unproject(&uv_px, depth_m),
+            })
+        };
+        depths.into_iter().map(sample).collect()
+    }
+}
+

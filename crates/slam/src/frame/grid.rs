@@ -1,0 +1,78 @@
+//! [`Grid`]: the keypoints of a frame by cell.
+
+use garad_core::Camera;
+use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
+
+/// Keypoints by cell, so that a search visits its neighbourhood only.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub(super) struct Grid {
+    columns: usize,
+    rows: usize,
+    /// `start[cell]..start[cell + 1]` into `index`.
+    start: Vec<usize>,
+    index: Vec<usize>,
+}
+
+/// ORB-SLAM's 64 x 48 cells of a 640 x 480 image.
+const CELL_PX: f64 = 10.0;
+
+impl Grid {
+    pub(super) fn new(camera: &Camera, uv_px: &[Vector2<f64>], in_use: &[bool]) -> Self {
+        let columns = cell_of(camera.width as f64, usize::MAX) + 1;
+        let rows = cell_of(camera.height as f64, usize::MAX) + 1;
+        let cell = |i: usize| {
+            let uv = &uv_px[i];
+            (in_use[i] && camera.contains(uv))
+                .then(|| cell_of(uv.y, rows - 1) * columns + cell_of(uv.x, columns - 1))
+        };
+        // Counting sort: stable, so indices ascend within a cell.
+        let mut start = vec![0; columns * rows + 1];
+        for c in (0..uv_px.len()).filter_map(cell) {
+            start[c + 1] += 1;
+        }
+        for c in 0..columns * rows {
+            start[c + 1] += start[c];
+        }
+        let mut next = start.clone();
+        let mut index = vec![0; start[columns * rows]];
+        for i in 0..uv_px.len() {
+            if let Some(c) = cell(i) {
+                index[next[c]] = i;
+                next[c] += 1;
+            }
+        }
+        Self {
+            columns,
+            rows,
+            start,
+            index,
+        }
+    }
+
+    pub(super) fn cells(&self, uv: Vector2<f64>, radius: f64) -> impl Iterator<Item = usize> + '_ {
+        let (x0, x1) = (
+            cell_of(uv.x - radius, self.columns - 1),
+            cell_of(uv.x + radius, self.columns - 1),
+        );
+        let (y0, y1) = (
+            cell_of(uv.y - radius, self.rows - 1),
+            cell_of(uv.y + radius, self.rows - 1),
+        );
+        (y0..=y1).flat_map(move |y| {
+            let row = y * self.columns;
+            self.index[self.start[row + x0]..self.start[row + x1 + 1]]
+                .iter()
+                .copied()
+        })
+    }
+}
+
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "float to integer saturates and maps NaN to 0, which is the clamp wanted here"
+)]
+fn cell_of(coordinate: f64, last: usize) -> usize {
+    ((coordinate / CELL_PX) as usize).min(last)
+}

@@ -1,0 +1,227 @@
+//! Culling of redundant keyframes, so that the cost of a room does not grow with the time spent in it
+//! (decision 010).
+//!
+//! A keyframe is redundant if nearly all of its near landmarks are observed by other keyframes as well as
+//! by itself. It keeps its id, because the path, landmarks and Gaussians refer to it, and its pose, which
+//! from then on is tied to the keyframe it shared most landmarks with. Everything else is freed:
+//! features, observations, images, its entry in the place index.
+//!
+//! | never culled | why |
+//! |---|---|
+//! | the first keyframe | it defines the world |
+//! | the youngest ones | their landmarks are still to be confirmed |
+//! | the ends of closed loops | they constrain the path |
+//!
+//! Source: Mur-Artal, Montiel, Tardós 2015, section VI-E.
+
+use std::collections::BTreeSet;
+
+use garad_core::KeyframeId;
+
+use super::loop_closing::LoopClosure;
+use crate::config::CullingConfig;
+use crate::context::Context;
+use crate::map::{Map, by_count};
+
+/// An observation that many levels coarser than one's own still counts as equally good (ORB-SLAM):
+/// corners jump between neighbouring levels.
+const LEVEL_TOLERANCE: u8 = 1;
+
+/// Culls the redundant ones among the keyframes that share landmarks with the newest, those that
+/// share most first. Each is judged by what those before it have left. Returns them.
+pub(crate) fn cull_keyframes(
+    context: &Context,
+    map: &mut Map,
+    closed: &[LoopClosure],
+    newest: KeyframeId,
+) -> Vec<KeyframeId> {
+    let config = &context.config.culling;
+    let ends: BTreeSet<_> = closed.iter().flat_map(|l| [l.keyframe, l.older]).collect();
+    let close_m = context.config.keyframes.close_m;
+    let mut culled = Vec::new();
+    for id in by_count(&map.covisible(newest)) {
+        let young = id.0.saturating_add(config.keep_youngest) > newest.0;
+        if id.0 == 0 || young || ends.contains(&id) {
+            continue;
+        }
+        if is_redundant(map, id, close_m, config) && map.cull(id, &context.scales) {
+            culled.push(id);
+        }
+    }
+    culled
+}
+
+/// Whether a keyframe observes at least one near static landmark, and nearly all of them are observed by
+/// enough other keyframes at the same level or a finer one.
+fn is_redundant(map: &Map, id: KeyframeId, close_m: f64, config: &CullingConfig) -> bool {
+    let keyframe = map.keyframe(id);
+    let (mut near, mut shared) = (0u32, 0u32);
+    for (i, landmark) in keyframe.landmark.iter().enumerate() {
+        let Some(landmark) = landmark.and_then(|l| map.static_landmark(l)) else {
+            continue;
+        };
+        if keyframe.depth_m[i].is_none_or(|d| d >= close_m) {
+            continue;
+        }
+        near += 1;
+        let coarsest = keyframe.keypoints[i].level + LEVEL_TOLERANCE;
+        let others = (landmark.observations.iter())
+            .filter(|(k, j)| *k != id && map.keyframe(*k).keypoints[*j].level <= coarsest);
+        shared += u32::from(others.count() >= config.observers);
+    }
+    near > 0 && f64::from(shared) >= config.redundant_share * f64::from(near)
+}
+
+#[cfg(test)]
+mod tests {
+    use garad_core::{Camera, DepthImage, FrameId, LandmarkId, Par, Se3};
+    use garad_features::{Descriptor, Keypoint};
+    use nalgebra::{Vector3, Vector6};
+
+    use super::*;
+    use crate::config::Config;
+    use crate::frame::{Frame, Levels};
+    use crate::loop_closing::LoopClosure;
+
+    const SIZE: (usize, usize) = (128, 96);
+    const POINTS: u8 = 10;
+
+    /// So many keyframes a centimetre apart; the first makes ten landmarks 2 m ahead, and keyframe k sees
+    /// those that `sees(k, i)` gives a level.
+    fn slam(keyframes: u32, sees: impl Fn(u32, u8) -> Option<u8>) -> Slam {
+        let camera = Camera::pinhole(SIZE, [100.0, 100.0, 63.5, 47.5]).expect("valid camera");
+        let config = Config::default();
+        let mut slam = Slam::new(camera, config.clone(), 0, Par::Seq).expect("valid");
+        let depth = DepthImage::new(SIZE.0, SIZE.1, 2.0);
+        let levels = Levels::new(SIZE, 1.2, 8, true);
+        for k in 0..keyframes {
+            let keypoint = |i: u8| Keypoint {
+                x: 20.0 + 8.0 * f32::from(i),
+                y: 40.0,
+                level: sees(k, i).unwrap_or(0),
+                angle_deg: 0.0,
+                response: 1.0,
+            };
+            let keypoints: Vec<_> = (0..POINTS).map(keypoint).collect();
+            let descriptors = vec![Descriptor::default(); usize::from(POINTS)];
+            let (id, t_s) = (FrameId(k), f64::from(k));
+            let mut frame = Frame::new(
+                id,
+                t_s,
+                keypoints,
+                descriptors,
+                &depth,
+                None,
+                &camera,
+                &levels,
+                &config,
+            );
+            frame.camera_from_world = at(0.01 * f64::from(k));
+            let id = slam.map.add_keyframe(frame);
+            for i in 0..POINTS {
+                let scales = slam.scales.clone();
+                let (point, landmark) = (usize::from(i), LandmarkId(u32::from(i)));
+                if k == 0 {
+                    let p_world = Vector3::new(0.1 * f64::from(i), 0.0, 2.0);
+                    slam.map.add_landmark(p_world, id, point, &scales);
+                } else if sees(k, i).is_some() {
+                    slam.map.add_observation(landmark, id, point);
+                }
+            }
+        }
+        slam
+    }
+
+    fn at(x_m: f64) -> Se3 {
+        Se3::exp(&Vector6::new(-x_m, 0.0, 0.0, 0.0, 0.0, 0.0))
+    }
+
+    fn redundant(slam: &Slam, id: u32) -> bool {
+        let config = CullingConfig::default();
+        is_redundant(&slam.map, KeyframeId(id), 6.0, &config)
+    }
+
+    #[test]
+    fn nine_of_ten_landmarks_seen_by_three_others() {
+        assert!(redundant(&slam(4, |_, _| Some(0)), 1), "all ten");
+        assert!(
+            !redundant(&slam(3, |_, _| Some(0)), 1),
+            "two others are too few"
+        );
+        // Keyframe 3 misses the last n points, which then have two others.
+        let missing = |n: u8| slam(4, move |k, i| (k != 3 || i < POINTS - n).then_some(0));
+        assert!(redundant(&missing(1), 1), "nine of ten");
+        assert!(!redundant(&missing(2), 1), "eight of ten");
+    }
+
+    #[test]
+    fn coarser_looks_and_far_points_do_not_count() {
+        let third = |level: u8| slam(4, move |k, _| Some(if k == 3 { level } else { 0 }));
+        assert!(redundant(&third(1), 1), "a level coarser");
+        assert!(!redundant(&third(2), 1), "two levels coarser");
+        let slam = slam(4, |_, _| Some(0));
+        let config = CullingConfig::default();
+        assert!(
+            !is_redundant(&slam.map, KeyframeId(1), 2.0, &config),
+            "all are 2 m away: none is nearer"
+        );
+    }
+
+    #[test]
+    fn a_culled_keyframe_follows_the_one_that_holds_it() {
+        let mut slam = slam(5, |_, _| Some(0));
+        let scales = slam.scales.clone();
+        let id = KeyframeId;
+        assert!(slam.map.cull(id(1), &scales), "there is one to hold it");
+        assert!(slam.map.is_culled(id(1)), "and it is gone");
+        assert!(slam.map.keyframe(id(1)).is_empty(), "with its features");
+        let left: Vec<_> = slam.map.kept_ids().collect();
+        assert_eq!(left, [0, 2, 3, 4].map(KeyframeId), "the others");
+        let landmark = slam.map.landmark(LandmarkId(0)).expect("seen by others");
+        assert!(
+            landmark.observations.iter().all(|(k, _)| *k != id(1)),
+            "nobody refers to it"
+        );
+        // Keyframe 4, the youngest of equals, holds it; then 4 goes, and 3 holds both.
+        assert!(slam.map.cull(id(4), &scales), "as well");
+        let motion = Se3::exp(&Vector6::new(0.3, 0.0, 0.1, 0.0, 0.2, 0.0));
+        let before = [1, 3, 4].map(|k| slam.map.keyframe(id(k)).camera_from_world);
+        slam.map.keyframe_mut(id(3)).camera_from_world = before[1] * motion;
+        slam.map.follow_anchors();
+        for (k, before) in [1, 3, 4].into_iter().zip(before) {
+            let now = slam.map.keyframe(id(k)).camera_from_world;
+            let off = (now * (before * motion).inverse()).log().norm();
+            assert!(off < 1e-14, "keyframe {k}: the world has moved: {off}");
+        }
+    }
+
+    #[test]
+    fn a_landmark_that_nobody_else_sees_goes_too() {
+        let mut slam = slam(2, |k, i| (k == 0 || i > 0).then_some(0));
+        let scales = slam.scales.clone();
+        assert!(slam.map.cull(KeyframeId(0), &scales), "held by the second");
+        let count = slam.map.landmarks().count();
+        assert_eq!(count, usize::from(POINTS) - 1, "the first one had no other");
+        let mut alone = self::slam(1, |_, _| Some(0));
+        assert!(!alone.map.cull(KeyframeId(0), &scales), "nothing holds it");
+        assert!(!alone.map.is_culled(KeyframeId(0)), "so it stays");
+    }
+
+    #[test]
+    fn the_first_the_youngest_and_ends_of_loops_stay() {
+        let mut slam = slam(20, |_, _| Some(0));
+        slam.loops.remember(LoopClosure {
+            keyframe: KeyframeId(5),
+            older: KeyframeId(2),
+            inliers: 50,
+            drift_m: 0.1,
+        });
+        slam.cull_keyframes(KeyframeId(19));
+        let left: Vec<_> = slam.map.kept_ids().map(|k| k.0).collect();
+        assert_eq!(
+            left,
+            [0, 2, 5, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19],
+            "the first, a loop, ten young ones"
+        );
+    }
+}

@@ -1,0 +1,160 @@
+//! Bundle adjustment: the newest keyframes and the static landmarks they observe, optimised together.
+
+use std::collections::BTreeMap;
+
+use garad_core::{KeyframeId, LandmarkId};
+use garad_optim::{BundleConfig, BundleObservation, optimise_bundle};
+
+use crate::context::Context;
+use crate::map::{Map, by_count};
+use crate::tracking::observation::observation;
+use crate::trace::Recorder;
+
+/// Optimises a keyframe, its most covisible neighbours and every landmark they observe. Other
+/// keyframes that observe those landmarks hold the gauge; the first keyframe never moves.
+pub(crate) fn local_ba(
+    context: &Context,
+    map: &mut Map,
+    newest: KeyframeId,
+    recorder: &mut Recorder,
+) {
+    let config = &context.config.local_ba;
+    let mut free: Vec<KeyframeId> = vec![newest];
+    let neighbours = by_count(&map.covisible(newest));
+    free.extend(
+        neighbours
+            .into_iter()
+            .take(config.max_free.saturating_sub(1)),
+    );
+    free.retain(|k| k.0 != 0);
+    let mut landmarks = map.observed_by(free.iter().copied());
+    landmarks.retain(|l| map.static_landmark(*l).is_some());
+    let mut others = map.observers(landmarks.iter().copied());
+    for k in &free {
+        others.remove(k);
+    }
+    let mut fixed = by_count(&others);
+    fixed.truncate(config.max_fixed);
+    let iterations = config.iterations;
+    adjust(context, map, &free, &fixed, &landmarks, iterations, recorder);
+}
+
+/// Optimises free keyframes and landmarks over all observations by these and the fixed ones.
+/// Observations that are outliers afterwards are removed. Nothing happens unless there is one of each.
+pub(crate) fn adjust(
+    context: &Context,
+    map: &mut Map,
+    free: &[KeyframeId],
+    fixed: &[KeyframeId],
+    landmarks: &[LandmarkId],
+    iterations: usize,
+    recorder: &mut Recorder,
+) {
+    if free.is_empty() || fixed.is_empty() || landmarks.is_empty() {
+        return;
+    }
+    let config = &context.config.tracking;
+    let keyframes: Vec<KeyframeId> = free.iter().chain(fixed).copied().collect();
+    let pose_of: BTreeMap<KeyframeId, usize> =
+        keyframes.iter().enumerate().map(|(i, k)| (*k, i)).collect();
+    let mut poses: Vec<_> = keyframes
+        .iter()
+        .map(|k| map.keyframe(*k).camera_from_world)
+        .collect();
+    let is_fixed: Vec<_> = (0..keyframes.len()).map(|i| i >= free.len()).collect();
+    let mut points = Vec::new();
+    let mut observations = Vec::new();
+    let mut sources = Vec::new();
+    for id in landmarks {
+        let landmark = map.landmark(*id).expect("adjusted landmarks are in the map");
+        for (keyframe, i) in &landmark.observations {
+            let Some(&pose) = pose_of.get(keyframe) else {
+                continue;
+            };
+            let seen = observation(config, map.keyframe(*keyframe), *i, landmark.p_world);
+            observations.push(BundleObservation {
+                pose,
+                point: points.len(),
+                uv_px: seen.uv_px,
+                sigma_px: seen.sigma_px,
+                depth: seen.depth,
+            });
+            sources.push((*id, *keyframe));
+        }
+        points.push(landmark.p_world);
+    }
+    let before = (recorder.is_recording()).then(|| (poses.clone(), points.clone()));
+    let bundle = BundleConfig {
+        iterations,
+        ..BundleConfig::default()
+    };
+    let report = optimise_bundle(
+        &context.camera,
+        config.bf,
+        &mut poses,
+        &is_fixed,
+        &mut points,
+        &observations,
+        &bundle,
+    )
+    .expect("poses, landmarks and observations of the map are finite");
+    if let Some((poses_before, points_before)) = before {
+        recorder.record("bundle", |record| {
+            record.bundle_in(&poses_before, &is_fixed, &points_before, &observations);
+            record.bundle_out(&poses, &points, &report);
+        });
+    }
+    for (keyframe, pose) in free.iter().zip(&poses) {
+        map.keyframe_mut(*keyframe).camera_from_world = *pose;
+    }
+    map.follow_anchors();
+    for (id, p_world) in landmarks.iter().zip(&points) {
+        map.landmark_mut(*id).expect("as above").p_world = *p_world;
+    }
+    for ((id, keyframe), inlier) in sources.into_iter().zip(report.inlier) {
+        if !inlier {
+            map.drop_observation(id, keyframe);
+        }
+    }
+    for id in landmarks {
+        map.refresh(*id, &context.scales);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::labels::frame::tests::{frame, slam, wall};
+
+    /// Three keyframes at the same place see 300 points of a wall; the last of them puts one 30 px beside where it is.
+    #[test]
+    fn what_disagrees_is_no_longer_seen() {
+        let mut slam = slam(Config::default());
+        let depth = wall();
+        let first = slam.map.add_keyframe(frame(&slam, 0, &depth));
+        let made: Vec<_> = (0..300)
+            .map(|i| {
+                let p_world = slam.map.keyframe(first).world_point(i, &slam.camera);
+                let p_world = p_world.expect("on the wall");
+                slam.map.add_landmark(p_world, first, i, &slam.scales)
+            })
+            .collect();
+        for id in [20, 40] {
+            let mut seen = frame(&slam, id, &depth);
+            seen.landmark = made.iter().copied().map(Some).collect();
+            slam.map.add_keyframe(seen);
+        }
+        let newest = KeyframeId(2);
+        slam.map.keyframe_mut(newest).uv_px[7].y += 30.0;
+        slam.local_ba(newest);
+        for (i, id) in made.iter().enumerate() {
+            let landmark = slam.map.landmark(*id).expect("seen by two at least");
+            let by: Vec<_> = landmark.observations.iter().map(|(k, _)| k.0).collect();
+            let expected: &[u32] = if i == 7 { &[0, 1] } else { &[0, 1, 2] };
+            assert_eq!(by, expected, "landmark {i}");
+            let linked = slam.map.keyframe(newest).landmark[i];
+            assert_eq!(linked, (i != 7).then_some(*id), "keypoint {i}");
+        }
+    }
+}

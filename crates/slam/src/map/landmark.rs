@@ -1,0 +1,172 @@
+//! [`Landmark`]: a 3-D point of the map, and its [`Appearance`] in a frame.
+
+use garad_core::{Camera, KeyframeId, Label};
+use garad_crf::{LabelWindow, LabelWindowConfig};
+use garad_features::Descriptor;
+use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::dynamics::retention::{Retention, push_label};
+use crate::frame::Frame;
+
+/// A 3-D point that features of several keyframes see.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Landmark {
+    /// Position, metres.
+    pub p_world: Vector3<f64>,
+    /// The observed descriptor nearest to all others.
+    pub descriptor: Descriptor,
+    /// Mean direction from the cameras to it, unit length.
+    pub view_direction: Vector3<f64>,
+    /// Distances at which the ORB pyramid can still find it, metres.
+    pub distance_m: (f64, f64),
+    /// Observing keyframes and their keypoint, in order of the keyframes.
+    pub observations: Vec<(KeyframeId, usize)>,
+    /// The keyframe that made it.
+    pub born: KeyframeId,
+    /// A dynamic landmark is neither searched for nor adjusted.
+    label: Label,
+    /// The labels of the last runs (eq. 7).
+    window: LabelWindow,
+    /// Frames in which it should have been seen, and in which it was matched.
+    pub visible: u32,
+    /// See `visible`.
+    pub found: u32,
+}
+
+impl Landmark {
+    /// A static landmark seen by one keypoint; what follows from its observations is computed by
+    /// [`Map::refresh`](super::Map::refresh).
+    pub(super) fn new(
+        p_world: Vector3<f64>,
+        descriptor: Descriptor,
+        keyframe: KeyframeId,
+        i: usize,
+    ) -> Self {
+        Self {
+            p_world,
+            descriptor,
+            view_direction: Vector3::zeros(),
+            distance_m: (0.0, 0.0),
+            observations: vec![(keyframe, i)],
+            born: keyframe,
+            label: Label::Static,
+            window: LabelWindow::default(),
+            visible: 1,
+            found: 1,
+        }
+    }
+
+    /// Whether it moves.
+    #[must_use]
+    pub fn label(&self) -> Label {
+        self.label
+    }
+
+    /// Adds a label to the window of eq. 7. Called by [`dynamics::landmarks`](crate::dynamics)
+    /// alone: the one writer of landmark labels.
+    pub(crate) fn push_label(&mut self, label: Label, config: &LabelWindowConfig) -> Retention {
+        push_label(&mut self.label, &mut self.window, label, config)
+    }
+
+    /// Whether a keyframe observes it.
+    #[must_use]
+    pub fn is_observed_by(&self, keyframe: KeyframeId) -> bool {
+        self.observations.iter().any(|(k, _)| *k == keyframe)
+    }
+
+    /// The expected appearance in a frame; `None` if it should not be visible there: behind,
+    /// outside, too near, too far, from more than 60° beside its mean view, or if it moves.
+    #[must_use]
+    pub fn appearance(
+        &self,
+        frame: &Frame,
+        camera: &Camera,
+        scales: &[f64],
+    ) -> Option<Appearance> {
+        if self.label == Label::Dynamic {
+            return None;
+        }
+        let p_cam = frame.camera_from_world * self.p_world;
+        let uv_px = camera.project(&p_cam)?;
+        if !camera.contains(&uv_px) {
+            return None;
+        }
+        let offset = self.p_world - frame.center();
+        let distance = offset.norm();
+        let (nearest, farthest) = self.distance_m;
+        let view_cosine = offset.dot(&self.view_direction) / distance;
+        let in_range = distance >= 0.8 * nearest && distance <= 1.2 * farthest;
+        (in_range && view_cosine >= MIN_VIEW_COSINE).then(|| Appearance {
+            uv_px,
+            depth_m: p_cam.z,
+            level: predicted_level(farthest / distance, scales),
+            view_cosine,
+        })
+    }
+}
+
+/// A view direction within 60° of the mean counts as the same side of a point.
+const MIN_VIEW_COSINE: f64 = 0.5;
+
+/// How a landmark should appear in a frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Appearance {
+    /// Ideal pixel.
+    pub uv_px: Vector2<f64>,
+    /// Metres along z.
+    pub depth_m: f64,
+    /// Level at which its detail has the size it was learnt at.
+    pub level: usize,
+    /// Cosine between this view and the mean view.
+    pub view_cosine: f64,
+}
+
+/// Smallest level whose scale reaches `ratio`: where detail learnt at the farthest distance has
+/// its size again.
+fn predicted_level(ratio: f64, scales: &[f64]) -> usize {
+    let tolerance = 1.0 - 1e-9; // the level a point was made at must give itself back
+    scales
+        .iter()
+        .position(|s| *s >= ratio * tolerance)
+        .unwrap_or(scales.len() - 1)
+}
+
+/// The descriptor with the smallest median distance to all; the first of equals.
+pub(super) fn medoid(descriptors: &[Descriptor]) -> Descriptor {
+    let median_distance = |a: &Descriptor| {
+        let mut distances: Vec<_> = descriptors.iter().map(|b| a.distance(b)).collect();
+        distances.sort_unstable();
+        distances[(distances.len() - 1) / 2]
+    };
+    descriptors
+        .iter()
+        .min_by_key(|d| median_distance(d))
+        .copied()
+        .unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn levels_are_ordered_as_stated() {
+        let scales = [1.0, 1.2, 1.44];
+        assert_eq!(predicted_level(1.0, &scales), 0, "own level");
+        assert_eq!(predicted_level(1.2, &scales), 1, "own level");
+        assert_eq!(predicted_level(1.21, &scales), 2, "next one up");
+        assert_eq!(predicted_level(9.0, &scales), 2, "the last at most");
+    }
+
+    #[test]
+    fn medoid_is_the_middle_one() {
+        let d = |bits: u64| Descriptor([bits, 0, 0, 0]);
+        assert_eq!(
+            medoid(&[d(0b1111), d(0b0011), d(0b0001)]),
+            d(0b0011),
+            "between the others"
+        );
+        assert_eq!(medoid(&[d(7)]), d(7), "alone");
+    }
+}

@@ -1,0 +1,244 @@
+//! Adaptive density control: clone, split and prune (Kerbl et al. 2023, section 5.2).
+//!
+//! A large mean gradient at a splat's centre says that it covers too much or too little of the image. If
+//! it is small, a second one beside it is missing: it is cloned. If it is large, it covers more than
+//! one thing: it is split in two.
+
+use garad_core::{Camera, GaussianMap, KeyframeId, Label, Real, Rng, So3};
+use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::config::DensifyConfig;
+
+/// Accumulated gradients at the splats' centres since the last densification.
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Densifier {
+    /// Σ |∂L/∂(NDC x, y)|.
+    gradient: Vec<f32>,
+    /// Iterations in which it was rendered.
+    seen: Vec<u32>,
+}
+
+impl Densifier {
+    /// Adds one iteration. A gradient per pixel becomes one per unit of normalised device
+    /// coordinates, 2/W and 2/H of which are a pixel, so that all levels of the pyramid count alike.
+    pub(crate) fn add(&mut self, by_mean_px: &[[f32; 2]], radii: &[i32], camera: &Camera) {
+        self.gradient.resize(by_mean_px.len(), 0.0);
+        self.seen.resize(by_mean_px.len(), 0);
+        #[allow(clippy::cast_precision_loss, reason = "sizes of images")]
+        let half = [camera.width as f32 / 2.0, camera.height as f32 / 2.0];
+        for (i, g) in by_mean_px.iter().enumerate() {
+            if radii[i] > 0 {
+                self.gradient[i] += Vector2::new(g[0] * half[0], g[1] * half[1]).norm();
+                self.seen[i] += 1;
+            }
+        }
+    }
+
+    pub(crate) fn retain(&mut self, keep: &[bool]) {
+        let mut kept = keep.iter();
+        self.gradient.retain(|_| kept.next().copied().unwrap_or(true));
+        let mut kept = keep.iter();
+        self.seen.retain(|_| kept.next().copied().unwrap_or(true));
+    }
+
+    /// Mean gradient; 0 if it was not rendered.
+    fn mean(&self, i: usize) -> f64 {
+        match self.seen.get(i) {
+            Some(&seen) if seen > 0 => f64::from(self.gradient[i]) / f64::from(seen),
+            _ => 0.0,
+        }
+    }
+}
+
+/// Children of a split, and what their parent's standard deviations are divided by.
+const CHILDREN: usize = 2;
+const SHRINK: f64 = 1.6;
+
+/// Appends clones and children to the map; the result marks the Gaussians that were split and
+/// are to be removed. Dynamic Gaussians are left alone, and so are those born before
+/// `young_from`; clones and children are as old as their parents. `max_gaussians` is never exceeded.
+///
+/// Clones have their parent's position and move apart by their own gradients. Children are
+/// drawn from the parent's distribution, N(μ, R S² Rᵀ).
+pub(crate) fn densify(
+    map: &mut GaussianMap,
+    accumulated: &Densifier,
+    extent_m: f64,
+    young_from: KeyframeId,
+    config: &DensifyConfig,
+    rng: &mut Rng,
+) -> Vec<bool> {
+    let before = map.len();
+    let large = config.split_extent * extent_m;
+    let mut split = vec![false; before];
+    for i in 0..before {
+        let left_alone = map.label[i] == Label::Dynamic || map.born[i] < young_from;
+        if left_alone || accumulated.mean(i) < config.grad_threshold {
+            continue;
+        }
+        if map.len() + CHILDREN > config.max_gaussians {
+            break;
+        }
+        let sigma = map.log_scales[i].map(|s| f64::from(Real::exp(s)));
+        if sigma.iter().all(|s| *s <= large) {
+            map.push_copy(i);
+            continue;
+        }
+        let [w, x, y, z] = map.quaternions[i].map(f64::from);
+        let Some(rotation) = So3::from_quaternion(w, x, y, z) else {
+            continue; // no direction, so nothing to draw from
+        };
+        split[i] = true;
+        for _ in 0..CHILDREN {
+            let child = map.push_copy(i);
+            let local = Vector3::from(sigma.map(|s| s * rng.normal()));
+            let offset = rotation * local;
+            for axis in 0..3 {
+                map.means[child][axis] += offset[axis].to_f32();
+                map.log_scales[child][axis] -= Real::ln(SHRINK).to_f32();
+            }
+        }
+    }
+    split
+}
+
+/// Marks the static Gaussians less opaque than `min_opacity`. Dynamic ones fade by the penalty of
+/// eq. 12 and are removed by eq. 7.
+pub(crate) fn faded(map: &GaussianMap, min_opacity: f64) -> Vec<bool> {
+    let least = Real::ln(min_opacity / (1.0 - min_opacity)).to_f32();
+    map.opacity_logits
+        .iter()
+        .zip(&map.label)
+        .map(|(logit, label)| *logit < least && *label == Label::Static)
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use garad_core::NewGaussian;
+
+    fn map(sigmas: &[f32]) -> GaussianMap {
+        let mut map = GaussianMap::new(0);
+        for &sigma_m in sigmas {
+            map.push(&NewGaussian {
+                mean: [0.0, 0.0, 2.0],
+                sigma_m,
+                opacity: 0.5,
+                color: [0.5; 3],
+                landmark: None,
+                born: KeyframeId(3),
+            });
+        }
+        map
+    }
+
+    fn with_gradient(n: usize, by_mean_px: [f32; 2]) -> Densifier {
+        let camera = Camera::pinhole((200, 100), [100.0, 100.0, 99.5, 49.5]).expect("valid");
+        let mut accumulated = Densifier::default();
+        accumulated.add(&vec![by_mean_px; n], &vec![1; n], &camera);
+        accumulated.add(&vec![[0.0; 2]; n], &vec![0; n], &camera);
+        accumulated
+    }
+
+    #[test]
+    fn gradient_is_a_mean_over_the_iterations_that_rendered_it() {
+        // 3/100 and 8/50 px⁻¹ are 3 and 8 per unit of NDC's half width and height.
+        let accumulated = with_gradient(1, [0.03, 0.08]);
+        assert!(
+            (accumulated.mean(0) - 5.0).abs() < 1e-6,
+            "(3, 4): {}",
+            accumulated.mean(0)
+        );
+        assert!(accumulated.mean(1).abs() < 1e-12, "never rendered");
+    }
+
+    #[test]
+    fn small_ones_are_cloned_and_large_ones_split() {
+        let mut map = map(&[0.005, 0.5, 0.5]);
+        map.label[2] = Label::Dynamic;
+        let config = DensifyConfig::default();
+        let accumulated = with_gradient(3, [1.0, 0.0]);
+        let split = densify(
+            &mut map,
+            &accumulated,
+            1.0,
+            KeyframeId(0),
+            &config,
+            &mut Rng::new(1),
+        );
+        assert_eq!(split, [false, true, false], "the large static one goes");
+        assert_eq!(map.len(), 3 + 1 + 2, "a clone and two children");
+        assert_eq!(
+            map.parent[3..],
+            [Some(0), Some(1), Some(1)],
+            "of these parents"
+        );
+        let apart = |a: usize, b: usize| {
+            let (a, b) = (map.means[a], map.means[b]);
+            (Vector3::from(a) - Vector3::from(b)).norm()
+        };
+        assert!(apart(3, 0) < 1e-9, "a clone stays");
+        assert!(apart(4, 1) > 1e-3 && apart(4, 5) > 1e-3, "children part");
+        let ratio = Real::exp(map.log_scales[1][0] - map.log_scales[4][0]);
+        assert!((ratio - 1.6).abs() < 1e-5, "smaller by {ratio}");
+        map.validate().expect("consistent");
+    }
+
+    #[test]
+    fn small_gradients_and_a_full_map_change_nothing() {
+        let config = DensifyConfig {
+            max_gaussians: 3,
+            ..DensifyConfig::default()
+        };
+        let mut full = map(&[0.005; 2]);
+        densify(
+            &mut full,
+            &with_gradient(2, [1.0, 0.0]),
+            1.0,
+            KeyframeId(0),
+            &config,
+            &mut Rng::new(1),
+        );
+        assert!(full.len() <= 3, "the cap: {}", full.len());
+        let mut calm = map(&[0.005; 2]);
+        let weak = with_gradient(2, [1e-9, 0.0]);
+        densify(
+            &mut calm,
+            &weak,
+            1.0,
+            KeyframeId(0),
+            &DensifyConfig::default(),
+            &mut Rng::new(1),
+        );
+        assert_eq!(calm.len(), 2, "small gradients");
+    }
+
+    #[test]
+    fn old_gaussians_are_left_alone() {
+        let mut map = map(&[0.005, 0.5, 0.5]);
+        map.born = [4, 3, 4].map(KeyframeId).to_vec();
+        let config = DensifyConfig::default();
+        let accumulated = with_gradient(3, [1.0, 0.0]);
+        let split = densify(
+            &mut map,
+            &accumulated,
+            1.0,
+            KeyframeId(4),
+            &config,
+            &mut Rng::new(1),
+        );
+        assert_eq!(split, [false, false, true], "the second is too old");
+        let born: Vec<_> = map.born.iter().map(|k| k.0).collect();
+        assert_eq!(born, [4, 3, 4, 4, 4, 4], "a clone and two children, as old");
+    }
+
+    #[test]
+    fn only_static_ones_fade() {
+        let mut map = map(&[0.1; 3]);
+        map.opacity_logits = vec![-9.0, -9.0, 0.0];
+        map.label[1] = Label::Dynamic;
+        assert_eq!(faded(&map, 0.005), [true, false, false], "one");
+    }
+}

@@ -1,0 +1,69 @@
+//! [`MappingJob`] and [`MappingDone`]: what tracking hands to the mapper, and what comes back.
+
+use garad_core::{DepthImage, FrameId, KeyframeId, Label, LandmarkId, MaskImage, RgbImage, Se3};
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use super::relabel::Relabelled;
+
+/// Everything the mapper needs to know of a keyframe.
+#[derive(Debug, Clone)]
+pub struct MappingJob {
+    /// The keyframe.
+    pub keyframe: KeyframeId,
+    /// The frame it was.
+    pub frame: FrameId,
+    /// Colour.
+    pub rgb: RgbImage,
+    /// Metres; 0 and NaN are missing.
+    pub depth: DepthImage,
+    /// 255 where something moves.
+    pub mask: Option<MaskImage>,
+    /// The same in cells, if the keyframe was labelled: Gaussians are then labelled, too.
+    pub cells: Option<MaskImage>,
+    /// Landmarks whose label has changed.
+    pub labels: Vec<(LandmarkId, Label)>,
+    /// camera_from_world of every keyframe so far, as adjusted.
+    pub poses: Vec<Se3>,
+    /// If a loop was closed at this keyframe: the correction of every keyframe so far,
+    /// after_from_before in the world.
+    pub moved: Vec<Se3>,
+    /// Landmarks that the keyframe made.
+    pub new_landmarks: Vec<NewLandmark>,
+    /// All landmarks of the map, ascending: the tags of others are removed.
+    pub living: Vec<LandmarkId>,
+    /// Training iterations.
+    pub iterations: usize,
+}
+
+/// A new landmark.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NewLandmark {
+    /// Its id: the tag of its Gaussian.
+    pub id: LandmarkId,
+    /// Position, metres.
+    pub p_world: Vector3<f64>,
+    /// Its keypoint's pixel in the recorded image.
+    pub px: [usize; 2],
+}
+
+/// The outcome of a job.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MappingDone {
+    /// The keyframe.
+    pub keyframe: KeyframeId,
+    /// The frame it was.
+    pub frame: FrameId,
+    /// Labels changed, and Gaussians dropped for theirs.
+    pub relabelled: Relabelled,
+    /// Gaussians that move.
+    pub dynamic: usize,
+    /// Gaussians inserted.
+    pub inserted: usize,
+    /// Gaussians there are now.
+    pub gaussians: usize,
+    /// Loss of the last iteration, if there was one.
+    pub loss: Option<f32>,
+    /// Why training stopped early. The map is as it was after the last good iteration.
+    pub error: Option<String>,
+}

@@ -1,0 +1,570 @@
+//! [`Slam`]: the method, stage after stage.
+//!
+//! ```text
+//! FrameInput ─→ Frame ─→ first pose ─→ Dynamics ─→ FrameLabels ─→ local map, final pose
+//!                                                                       │
+//!        MappingDone ←─ Mapping ←─ MappingJob ←─ keyframing ←── keyframe?
+//! ```
+
+use std::ops::RangeInclusive;
+use std::sync::Arc;
+
+use garad_core::{
+    Camera, FrameId, GaussianMap, KeyframeId, Label, Par, StampedPose,
+};
+use garad_features::{LkPyramid, PlaceConfig, PlaceIndex};
+
+use crate::config::Config;
+use crate::context::Context;
+use crate::dynamics::Dynamics;
+use crate::dynamics::bootstrap::{BootstrapBuffer, FutureView};
+use crate::dynamics::field::FrameView;
+use crate::dynamics::flow_check::PreviousFrame;
+use crate::frame::extract::{FrameExtractor, wanted_keypoints};
+use crate::frame::{Frame, FrameLabels};
+use crate::images::{ImageStore, lk_pyramid};
+use crate::io::{
+    FrameInput, FrameReport, LabelledFrame, ReplayedFrame, SlamError, TrackingState,
+};
+use crate::keyframing::Keyframing;
+use crate::keyframing::culling::cull_keyframes;
+use crate::keyframing::decide::needs_keyframe;
+use crate::keyframing::landmarks::{add_keyframe, landmarks_born_in};
+use crate::keyframing::local_ba::local_ba;
+use crate::keyframing::loop_closing::LoopClosure;
+use crate::map::Map;
+use crate::mapping::Mapping;
+use crate::mapping::job::{MappingDone, MappingJob};
+use crate::mapping::mapper::Mapper;
+use crate::mapping::train::TrainStep;
+use crate::mapping::worker::MappingObserver;
+use crate::mask::full_size;
+use crate::observer::{Observer, Stage};
+use crate::trace::{Recorder, TraceRecord};
+use crate::tracking::Tracker;
+use crate::tracking::depth_pose::drop_old_depth_planes;
+use crate::tracking::relocalise::static_descriptors;
+use crate::trajectory::Trajectory;
+
+/// A run of the system: the owners of its state.
+#[derive(Debug)]
+pub struct Slam {
+    pub(crate) context: Context,
+    pub(crate) extractor: FrameExtractor,
+    pub(crate) tracker: Tracker,
+    pub(crate) dynamics: Dynamics,
+    pub(crate) map: Map,
+    pub(crate) keyframing: Keyframing,
+    pub(crate) mapping: Mapping,
+    /// Keyframes by appearance.
+    pub(crate) places: PlaceIndex,
+    pub(crate) images: ImageStore,
+    pub(crate) trajectory: Trajectory,
+    /// What moves in the last frame.
+    pub(crate) labelled: Option<LabelledFrame>,
+    pub(crate) replayed: Vec<ReplayedFrame>,
+    pub(crate) next_frame: FrameId,
+    /// The map is finished: frames are tracked in it and change nothing.
+    pub(crate) localising: bool,
+    pub(crate) recorder: Recorder,
+}
+
+impl Slam {
+    /// An empty map, before the first frame.
+    ///
+    /// # Errors
+    /// [`SlamError::Config`] or [`SlamError::Camera`] for invalid values.
+    pub fn new(
+        camera: Camera,
+        config: Config,
+        rng_seed: u64,
+        par: Par,
+    ) -> Result<Self, SlamError> {
+        let context = Context::new(camera, config, rng_seed, par)?;
+        let places = PlaceIndex::new(PlaceConfig::default(), rng_seed);
+        Ok(Self {
+            extractor: FrameExtractor::new(&context)?,
+            tracker: Tracker::default(),
+            dynamics: Dynamics::new(&context)?,
+            map: Map::default(),
+            keyframing: Keyframing::default(),
+            mapping: Mapping::new(&context)?,
+            places: places.expect("the default settings are valid"),
+            images: ImageStore::default(),
+            trajectory: Trajectory::default(),
+            labelled: None,
+            replayed: Vec::new(),
+            next_frame: FrameId(0),
+            localising: false,
+            recorder: Recorder::default(),
+            context,
+        })
+    }
+
+    /// Takes the next frame through tracking and, if it becomes a keyframe, starts its mapping.
+    /// Mapping jobs that are due are handed over first.
+    ///
+    /// After the last frame of the bootstrap the run may restart, within this call
+    /// ([`Slam::take_replayed`]).
+    ///
+    /// A frame that cannot be tracked is not an error: the state turns to
+    /// [`TrackingState::Lost`], and later frames are searched for among the keyframes.
+    ///
+    /// # Errors
+    /// [`SlamError::SizeMismatch`] or [`SlamError::Features`]; the state before the frame stays,
+    /// and the next frame may be given. [`SlamError::MappingLost`].
+    pub fn process(
+        &mut self,
+        input: &FrameInput<'_>,
+        observer: &mut dyn Observer,
+    ) -> Result<FrameReport, SlamError> {
+        let report = self.process_once(input, observer)?;
+        self.restart_if_dynamic(report, observer)
+    }
+
+    fn process_once(
+        &mut self,
+        input: &FrameInput<'_>,
+        observer: &mut dyn Observer,
+    ) -> Result<FrameReport, SlamError> {
+        let id = self.next_frame;
+        self.next_frame = FrameId(id.0 + 1);
+        input.check_sizes(id, &self.context.camera)?;
+        self.recorder.begin_frame(id);
+        while self.mapping.is_due(id) {
+            observer.begin(Stage::Handover);
+            let done = self.mapping.hand_over();
+            observer.end(Stage::Handover);
+            done?;
+        }
+
+        let (mut frame, pyramid) = self.extract(id, input, observer)?;
+        if input.mask.is_some() || self.localising {
+            self.dynamics.end_bootstrap();
+        } else {
+            self.dynamics.buffer_frame(input, &frame);
+        }
+        let (inliers, labels) = match self.tracker.state() {
+            TrackingState::NotInitialised => {
+                let labels = self.label(&mut frame, input, pyramid.as_deref(), observer);
+                (self.tracker.initialise(&self.context, &mut frame), labels)
+            }
+            TrackingState::Tracking | TrackingState::Lost => {
+                self.track(&mut frame, input, pyramid.as_deref(), observer)
+            }
+        };
+        self.labelled = labels.as_ref().map(|labels| labelled_frame(&frame, labels));
+        let is_dynamic = |l: &&Label| **l == Label::Dynamic;
+        let mut report = FrameReport {
+            id,
+            t_s: input.t_s,
+            state: self.tracker.state(),
+            keypoints: frame.len(),
+            dynamic_keypoints: frame.label.iter().filter(is_dynamic).count(),
+            inliers,
+            keyframe: None,
+            camera_from_world: None,
+        };
+        if report.state == TrackingState::Tracking {
+            self.tracker.update_velocity(&frame);
+            if self.becomes_keyframe(&frame, inliers) {
+                let image = pyramid.clone();
+                let keyframe = self.add_keyframe(frame, input, image, labels, observer)?;
+                report.keyframe = Some(keyframe);
+                // The next frame is tracked from the adjusted keyframe.
+                frame = self.map.keyframe(keyframe).clone();
+            }
+            let reference = self.tracker.reference();
+            self.trajectory.push(&frame, reference, &self.map);
+            self.recorder
+                .record("trajectory", |record| record.trajectory(&frame, &self.map));
+            report.camera_from_world = Some(frame.camera_from_world);
+            self.tracker.set_last(frame, pyramid);
+        }
+        Ok(report)
+    }
+
+    /// Features, their depth, and the image for Lucas-Kanade.
+    fn extract(
+        &mut self,
+        id: FrameId,
+        input: &FrameInput<'_>,
+        observer: &mut dyn Observer,
+    ) -> Result<(Frame, Option<Arc<LkPyramid>>), SlamError> {
+        let context = &self.context;
+        observer.begin(Stage::Orb);
+        let gray = input.rgb.to_gray();
+        let wanted = wanted_keypoints(context, self.tracker.last());
+        let frame = self.extractor.extract(context, id, input, &gray, wanted);
+        observer.end(Stage::Orb);
+        let frame = frame?;
+        let recorder = &mut self.recorder;
+        recorder.record("input", |record| record.frame_input(input));
+        let features = &context.config.features;
+        recorder.record("orb", |record| {
+            record.orb(&gray, features.scale, features.levels, wanted, &frame);
+        });
+        recorder.record("keypoints", |record| record.keypoints(&frame));
+        if let Some(planes) = &frame.depth_planes {
+            recorder.record("depth_planes", |record| record.depth_planes(planes));
+        }
+        Ok((frame, lk_pyramid(&gray, &context.config).map(Arc::new)))
+    }
+
+    /// First pose, what moves, local map. Returns the number of inliers and the labels.
+    fn track(
+        &mut self,
+        frame: &mut Frame,
+        input: &FrameInput<'_>,
+        pyramid: Option<&LkPyramid>,
+        observer: &mut dyn Observer,
+    ) -> (usize, Option<FrameLabels>) {
+        let found = self.tracker.first_pose(
+            &self.context,
+            &self.map,
+            &self.places,
+            frame,
+            observer,
+            &mut self.recorder,
+        );
+        let (mut inliers, mut labels) = (0, None);
+        if found {
+            labels = self.label(frame, input, pyramid, observer);
+            observer.begin(Stage::TrackLocalMap);
+            inliers = self.tracker.track_local_map(
+                &self.context,
+                &mut self.map,
+                &self.images,
+                frame,
+                (pyramid, input.depth),
+                self.localising,
+                &mut self.recorder,
+            );
+            observer.end(Stage::TrackLocalMap);
+        }
+        self.tracker.update_state(&self.context, frame.id, inliers);
+        (inliers, labels)
+    }
+
+    /// What moves in a frame, applied to it; nothing if a mask is given.
+    fn label(
+        &mut self,
+        frame: &mut Frame,
+        input: &FrameInput<'_>,
+        pyramid: Option<&LkPyramid>,
+        observer: &mut dyn Observer,
+    ) -> Option<FrameLabels> {
+        if !self.context.config.labels.enabled || input.mask.is_some() {
+            return None;
+        }
+        observer.begin(Stage::Label);
+        let view = FrameView {
+            frame,
+            depth: input.depth,
+            pyramid,
+        };
+        let previous = self.tracker.last().zip(self.tracker.last_pyramid());
+        let labels = self.dynamics.label_frame(
+            &self.context,
+            view,
+            &self.map,
+            &self.images,
+            previous.map(|(frame, pyramid)| PreviousFrame { frame, pyramid }),
+            &mut self.recorder,
+        );
+        if let Some(labels) = &labels {
+            frame.apply_labels(labels, &self.context.camera);
+        }
+        observer.end(Stage::Label);
+        labels
+    }
+
+    fn becomes_keyframe(&mut self, frame: &Frame, inliers: usize) -> bool {
+        let (map, reference) = (&self.map, self.tracker.reference());
+        let becomes = !self.localising
+            && (map.keyframes().is_empty()
+                || needs_keyframe(&self.context, map, reference, frame, inliers));
+        self.recorder.record("keyframe", |record| {
+            record.decision(inliers, frame, becomes);
+        });
+        becomes
+    }
+
+    /// Adds a keyframe: landmarks, labels, bundle adjustment and loops here, Gaussians in a mapping
+    /// job.
+    fn add_keyframe(
+        &mut self,
+        frame: Frame,
+        input: &FrameInput<'_>,
+        pyramid: Option<Arc<LkPyramid>>,
+        labels: Option<FrameLabels>,
+        observer: &mut dyn Observer,
+    ) -> Result<KeyframeId, SlamError> {
+        let Self { context, map, keyframing, recorder, .. } = self;
+        let config = &context.config;
+        let frame_id = frame.id;
+        let since_last = (frame_id.0 - map.last_keyframe_frame().0) as usize;
+        let cells = labels.map(|labels| labels.cells);
+        let mask = match &cells {
+            Some(cells) => Some(full_size(cells, input.rgb.size())),
+            None => input.mask.cloned(),
+        };
+
+        observer.begin(Stage::Keyframe);
+        let id = add_keyframe(context, map, &mut keyframing.recent, frame);
+        self.tracker.set_reference(id);
+        drop_old_depth_planes(map, id, config.depth_planes.keyframes);
+        map.keyframe_mut(id).mask_depth_planes(mask.as_ref());
+        observer.end(Stage::Keyframe);
+        let mut changed_labels = Vec::new();
+        if config.labels.enabled && input.mask.is_none() {
+            observer.begin(Stage::LabelMap);
+            let cells = cells.as_ref();
+            changed_labels =
+                (self.dynamics).label_keyframe(context, map, id, input.depth, cells, recorder);
+            observer.end(Stage::LabelMap);
+        }
+        if config.local_ba.enabled {
+            observer.begin(Stage::LocalBa);
+            local_ba(context, map, id, recorder);
+            observer.end(Stage::LocalBa);
+        }
+        let mut moved = Vec::new();
+        if config.loops.enabled {
+            observer.begin(Stage::Loop);
+            moved = (keyframing.loops).close_loop(context, map, &self.places, id, recorder);
+            observer.end(Stage::Loop);
+        }
+        self.places.add(id, &static_descriptors(map.keyframe(id)));
+        if config.culling.enabled {
+            for culled in cull_keyframes(context, map, keyframing.loops.closed(), id) {
+                self.places.remove(culled);
+                self.images.remove(culled);
+            }
+        }
+        self.images.insert(id, pyramid, map, config);
+        if config.insertion.enabled {
+            let job = MappingJob {
+                keyframe: id,
+                frame: frame_id,
+                rgb: input.rgb.clone(),
+                depth: input.depth.clone(),
+                mask,
+                cells,
+                labels: changed_labels,
+                poses: map.keyframe_poses(),
+                moved,
+                new_landmarks: landmarks_born_in(map, id),
+                living: map.landmark_ids(),
+                iterations: config.train.per_keyframe + config.train.per_frame * since_last,
+            };
+            self.mapping.submit(job)?;
+        }
+        Ok(id)
+    }
+
+    /// After every frame: restarts the run with the first one if the bootstrap buffer is full and
+    /// something moves in it (decision 011).
+    fn restart_if_dynamic(
+        &mut self,
+        report: FrameReport,
+        observer: &mut dyn Observer,
+    ) -> Result<FrameReport, SlamError> {
+        let state = self.tracker.state();
+        let restart = self.dynamics.check_bootstrap(
+            &self.context,
+            state,
+            &self.map,
+            &self.images,
+            &mut self.recorder,
+        );
+        let Some((buffer, future)) = restart else {
+            return Ok(report);
+        };
+        tracing::info!(frame = report.id.0, "something moves in the first frames: restart");
+        self.restart(future)?;
+        let last = self.replay(&buffer, report, observer);
+        self.dynamics.drop_future();
+        last
+    }
+
+    /// As before the first frame, but with future views. Observer and recorded frames stay.
+    fn restart(&mut self, future: Vec<FutureView>) -> Result<(), SlamError> {
+        self.mapping.finish()?;
+        let Context { camera, config, rng_seed, par, .. } = self.context.clone();
+        let fresh = Self::new(camera, config, rng_seed, par)?;
+        let before = std::mem::replace(self, fresh);
+        self.dynamics = Dynamics::restarted(&self.context, future)?;
+        self.mapping = before.mapping.restarted(&self.context)?;
+        self.record_frames(before.recorder.frames());
+        Ok(())
+    }
+
+    /// Processes buffered frames again. Returns the report of the last, whose first was `last`.
+    fn replay(
+        &mut self,
+        buffer: &BootstrapBuffer,
+        mut last: FrameReport,
+        observer: &mut dyn Observer,
+    ) -> Result<FrameReport, SlamError> {
+        for buffered in &buffer.frames {
+            self.next_frame = buffered.frame.id; // frames that could not be read left gaps
+            last = self.process_once(&buffered.input(), observer)?;
+            self.replayed.push(ReplayedFrame {
+                report: last,
+                labels: self.labelled.clone(),
+            });
+        }
+        self.replayed.pop(); // the frame just given
+        Ok(last)
+    }
+
+    /// Observes the mapper's stages, from whatever thread it runs in. To be called before the first
+    /// frame.
+    #[must_use]
+    pub fn with_mapping_observer(mut self, observer: MappingObserver) -> Self {
+        self.mapping.observe(observer);
+        self
+    }
+
+    /// Records the inputs and outputs of every stage of these frames. To be called before
+    /// the first frame. Nothing of the result changes.
+    #[must_use]
+    pub fn with_trace(mut self, frames: RangeInclusive<u32>) -> Self {
+        self.record_frames(Some(frames));
+        self
+    }
+
+    fn record_frames(&mut self, frames: Option<RangeInclusive<u32>>) {
+        if let Some(mapper) = self.mapping.mapper_mut() {
+            mapper.record_frames(frames.clone());
+        }
+        self.recorder.set_frames(frames);
+    }
+
+    /// The trace so far, tracking and mapping of each frame together, in the order of the data. What
+    /// the mapper recorded is missing while it is under way: call [`Slam::finish`] before.
+    pub fn take_trace(&mut self) -> Vec<TraceRecord> {
+        let mut records = self.recorder.take();
+        let of_mapper = self.mapping.mapper_mut().map(Mapper::take_trace);
+        records.extend(of_mapper.unwrap_or_default());
+        records.sort_by_key(|record| record.frame); // stable
+        records
+    }
+
+    /// Whether the run may still restart.
+    #[must_use]
+    pub fn may_restart(&self) -> bool {
+        self.dynamics.may_restart()
+    }
+
+    /// The outcome of the first frames when they were processed again; empty but for once, after the
+    /// last of them. The frame just given is not among them: its report is the answer to it.
+    pub fn take_replayed(&mut self) -> Vec<ReplayedFrame> {
+        std::mem::take(&mut self.replayed)
+    }
+
+    /// Takes over every mapping job under way. From here until the next keyframe
+    /// [`Slam::gaussians`] has an answer.
+    ///
+    /// # Errors
+    /// [`SlamError::MappingLost`].
+    pub fn finish(&mut self) -> Result<(), SlamError> {
+        self.mapping.finish()
+    }
+
+    /// Trains the map on the keyframes' images for `config.train.final_iterations` iterations, after
+    /// the last frame; `on_step` is told of each. Gaussians that have faded are pruned.
+    ///
+    /// # Errors
+    /// [`SlamError::Train`]; the map is then as it was after the last good iteration.
+    /// [`SlamError::MappingLost`].
+    pub fn train_final(&mut self, on_step: &mut dyn FnMut(&TrainStep)) -> Result<(), SlamError> {
+        self.finish()?;
+        let poses = self.map.keyframe_poses();
+        let iterations = self.context.config.train.final_iterations;
+        let mapper = self.mapping.mapper_mut().ok_or(SlamError::MappingLost)?;
+        Ok(mapper.train_final(iterations, poses, on_step)?)
+    }
+
+    /// The path so far: every tracked frame, moved along with its adjusted keyframe.
+    #[must_use]
+    pub fn trajectory(&self) -> Vec<StampedPose> {
+        self.trajectory.stamped(&self.map)
+    }
+
+    /// The keyframes' poses.
+    #[must_use]
+    pub fn keyframe_trajectory(&self) -> Vec<StampedPose> {
+        let pose = |k: &Frame| StampedPose {
+            t_s: k.t_s,
+            world_from_camera: k.camera_from_world.inverse(),
+        };
+        self.map.keyframes().iter().map(pose).collect()
+    }
+
+    /// Landmarks and keyframes.
+    #[must_use]
+    pub fn map(&self) -> &Map {
+        &self.map
+    }
+
+    /// The map of Gaussians; `None` while jobs are under way in another thread: call
+    /// [`Slam::finish`] before.
+    #[must_use]
+    pub fn gaussians(&self) -> Option<&GaussianMap> {
+        self.mapping.mapper().map(Mapper::gaussians)
+    }
+
+    /// The mapping jobs handed over so far.
+    #[must_use]
+    pub fn mapped(&self) -> &[MappingDone] {
+        self.mapping.done()
+    }
+
+    /// The loops that were closed, oldest first.
+    #[must_use]
+    pub fn loops(&self) -> &[LoopClosure] {
+        self.keyframing.loops.closed()
+    }
+
+    /// The last tracked frame, with the landmarks its keypoints were linked to.
+    #[must_use]
+    pub fn last_frame(&self) -> Option<&Frame> {
+        self.tracker.last()
+    }
+
+    /// What moves in the last frame; `None` if it was not labelled: lost, bootstrap, or a mask given.
+    #[must_use]
+    pub fn labelled_frame(&self) -> Option<&LabelledFrame> {
+        self.labelled.as_ref()
+    }
+
+    /// The camera.
+    #[must_use]
+    pub fn camera(&self) -> &Camera {
+        &self.context.camera
+    }
+
+    /// The configuration.
+    #[must_use]
+    pub fn config(&self) -> &Config {
+        &self.context.config
+    }
+
+    /// The seed of every random draw.
+    #[must_use]
+    pub fn seed(&self) -> u64 {
+        self.context.rng_seed
+    }
+}
+
+/// The labels of a frame as they are written and judged, at its final keypoints.
+fn labelled_frame(frame: &Frame, labels: &FrameLabels) -> LabelledFrame {
+    let keypoints = frame.px.iter().map(|p| [p.x, p.y]);
+    LabelledFrame {
+        frame: frame.id,
+        keypoints: keypoints.zip(frame.label.iter().copied()).collect(),
+        cells: labels.cells.clone(),
+    }
+}

@@ -1,0 +1,255 @@
+//! Tracking: from a predicted pose to the final pose of a frame (paper eq. 11; decision 009).
+//!
+//! | step | from | result |
+//! |---|---|---|
+//! | [`motion`] | constant velocity and the last frame's landmarks, or the reference keyframe's descriptors | first pose |
+//! | [`relocalise`] | the keyframes that look most like the frame, if the camera is lost | first pose |
+//! | [`local_map`] | everything the neighbourhood's keyframes observe | links |
+//! | [`pose`], [`depth_pose`], [`subpixel`] | links, depth planes, image patches | final pose |
+
+pub(crate) mod depth_pose;
+pub(crate) mod local_map;
+pub(crate) mod matching;
+pub(crate) mod motion;
+pub(crate) mod observation;
+pub(crate) mod pose;
+pub(crate) mod relocalise;
+pub(crate) mod rigid;
+pub(crate) mod subpixel;
+
+use std::io::{Read, Write};
+use std::sync::Arc;
+
+use garad_core::{DepthImage, FrameId, KeyframeId, Se3};
+use garad_features::{LkPyramid, PlaceIndex};
+
+use self::depth_pose::{MIN_SHARE_LABELLED, refine_pose_with_depth};
+use self::local_map::local_map;
+use self::motion::{track_motion, track_reference};
+use self::pose::pose_from_links;
+use self::relocalise::relocalise;
+use self::subpixel::refine_matches;
+use crate::context::Context;
+use crate::frame::Frame;
+use crate::images::ImageStore;
+use crate::io::TrackingState;
+use crate::map::Map;
+use crate::observer::{Observer, Stage};
+use crate::session::sections::{SectionReader, SectionWriter, SessionError};
+use crate::trace::Recorder;
+
+/// Frames after a relocalisation that need more inliers: about a second.
+const CAREFUL_FRAMES: u32 = 30;
+
+/// The state of tracking.
+#[derive(Debug)]
+pub struct Tracker {
+    state: TrackingState,
+    /// The last tracked frame, and its image for the flow check.
+    last: Option<Frame>,
+    last_pyramid: Option<Arc<LkPyramid>>,
+    /// Motion from the frame before the last one to the last.
+    velocity: Option<Se3>,
+    /// The keyframe that shares most landmarks with the last frame.
+    reference: KeyframeId,
+    relocalised_at: Option<FrameId>,
+}
+
+impl Default for Tracker {
+    /// Before the first frame.
+    fn default() -> Self {
+        Self {
+            state: TrackingState::NotInitialised,
+            last: None,
+            last_pyramid: None,
+            velocity: None,
+            reference: KeyframeId(0),
+            relocalised_at: None,
+        }
+    }
+}
+
+impl Tracker {
+    /// The state after the last frame.
+    #[must_use]
+    pub fn state(&self) -> TrackingState {
+        self.state
+    }
+
+    /// The last tracked frame, with the landmarks its keypoints were linked to.
+    #[must_use]
+    pub fn last(&self) -> Option<&Frame> {
+        self.last.as_ref()
+    }
+
+    /// Its image.
+    #[must_use]
+    pub fn last_pyramid(&self) -> Option<&LkPyramid> {
+        self.last_pyramid.as_deref()
+    }
+
+    /// The keyframe that shares most landmarks with the last frame.
+    #[must_use]
+    pub fn reference(&self) -> KeyframeId {
+        self.reference
+    }
+
+    /// A new keyframe is the reference of the next frames.
+    pub(crate) fn set_reference(&mut self, keyframe: KeyframeId) {
+        self.reference = keyframe;
+    }
+
+    /// The first frame with enough depth is the world. Returns its usable keypoints, or 0.
+    pub(crate) fn initialise(&mut self, context: &Context, frame: &mut Frame) -> usize {
+        let usable = (0..frame.len())
+            .filter(|&i| frame.depth_m[i].is_some() && frame.in_use[i])
+            .count();
+        if usable < context.config.keyframes.first_min_keypoints {
+            return 0;
+        }
+        frame.camera_from_world = Se3::identity();
+        self.state = TrackingState::Tracking;
+        usable
+    }
+
+    /// First pose: motion model, then reference keyframe, or when lost all keyframes.
+    pub(crate) fn first_pose(
+        &self,
+        context: &Context,
+        map: &Map,
+        places: &PlaceIndex,
+        frame: &mut Frame,
+        observer: &mut dyn Observer,
+        recorder: &mut Recorder,
+    ) -> bool {
+        let stage = match self.state {
+            TrackingState::Lost => Stage::Relocalise,
+            _ => Stage::TrackMotion,
+        };
+        observer.begin(stage);
+        let found = match (self.state, &self.last) {
+            (TrackingState::Lost, _) => relocalise(context, map, places, frame, recorder),
+            (_, None) => false,
+            (_, Some(last)) => {
+                let by_motion = self.velocity.is_some_and(|velocity| {
+                    track_motion(context, map, last, &velocity, frame, recorder)
+                });
+                let reference = map.keyframe(self.reference);
+                by_motion || track_reference(context, map, last, reference, frame, recorder)
+            }
+        };
+        observer.end(stage);
+        found
+    }
+
+    /// Final pose: links every landmark of the local map that can be found in the frame, optimises
+    /// over all of them, refines the matches in the image and optimises again. Returns the number of
+    /// inliers. Unless the map is `finished`, its landmarks count how often they should have been seen
+    /// and how often they were.
+    pub(crate) fn track_local_map(
+        &mut self,
+        context: &Context,
+        map: &mut Map,
+        images: &ImageStore,
+        frame: &mut Frame,
+        (pyramid, depth): (Option<&LkPyramid>, &DepthImage),
+        finished: bool,
+        recorder: &mut Recorder,
+    ) -> usize {
+        let local = local_map(context, map, frame);
+        self.reference = local.reference.unwrap_or(self.reference);
+        matching::from_local_map(context, map, &local.visible, frame);
+        recorder.record("match_local_map", |record| {
+            record.local_map(&local.visible);
+            record.links(frame);
+        });
+        let mut inliers =
+            refine_pose_with_depth(context, map, frame, MIN_SHARE_LABELLED, recorder);
+        if let Some(pyramid) = pyramid.filter(|_| context.config.subpixel.enabled && inliers > 0) {
+            refine_matches(context, map, images, frame, pyramid, depth, recorder);
+            inliers = pose_from_links(context, map, frame, recorder);
+        }
+        if !finished {
+            let found = frame.landmark.iter().flatten().copied();
+            map.count_sightings(&local.expected, found);
+        }
+        inliers
+    }
+
+    /// Tracking or lost, by the number of inliers of a frame that was tracked.
+    pub(crate) fn update_state(&mut self, context: &Context, frame: FrameId, inliers: usize) {
+        let config = &context.config.tracking;
+        let was_lost = self.state == TrackingState::Lost;
+        let recently = |at: FrameId| frame.0 - at.0 < CAREFUL_FRAMES;
+        let needed = match was_lost || self.relocalised_at.is_some_and(recently) {
+            true => config.min_inliers_after_recovery,
+            false => config.min_inliers,
+        };
+        if inliers >= needed {
+            if was_lost {
+                self.relocalised_at = Some(frame);
+                tracing::info!(frame = frame.0, inliers, "relocalised");
+            }
+            self.state = TrackingState::Tracking;
+        } else {
+            if !was_lost {
+                tracing::info!(frame = frame.0, inliers, "lost");
+            }
+            self.state = TrackingState::Lost;
+            self.velocity = None;
+        }
+    }
+
+    /// The motion from the last frame to this one, which the next is expected to repeat; none
+    /// across a gap. To be called before any adjustment, while both poses are in the same map.
+    pub(crate) fn update_velocity(&mut self, frame: &Frame) {
+        let last = self.last.as_ref().filter(|l| l.id.0 + 1 == frame.id.0);
+        self.velocity =
+            last.map(|last| frame.camera_from_world * last.camera_from_world.inverse());
+    }
+
+    /// The frame from which the next one is tracked.
+    pub(crate) fn set_last(&mut self, frame: Frame, pyramid: Option<Arc<LkPyramid>>) {
+        self.last = Some(frame);
+        self.last_pyramid = pyramid;
+    }
+
+    /// Lost, as if no frame had been tracked, in a map that stays.
+    pub(crate) fn reset_to_lost(&mut self) {
+        *self = Self {
+            state: TrackingState::Lost,
+            reference: self.reference,
+            ..Self::default()
+        };
+    }
+
+    /// Writes what a session must keep.
+    pub(crate) fn save<W: Write>(&self, to: &mut SectionWriter<W>) -> Result<(), SessionError> {
+        let Self {
+            state,
+            last,
+            last_pyramid,
+            velocity,
+            reference,
+            relocalised_at,
+        } = self;
+        to.put("state", state)?;
+        to.put("last", last)?;
+        to.put("last_pyramid", &last_pyramid.as_deref())?;
+        to.put("velocity", velocity)?;
+        to.put("reference", reference)?;
+        to.put("relocalised_at", relocalised_at)
+    }
+
+    /// Reads what [`Tracker::save`] wrote.
+    pub(crate) fn load<R: Read>(from: &mut SectionReader<R>) -> Result<Self, SessionError> {
+        Ok(Self {
+            state: from.take("state")?,
+            last: from.take("last")?,
+            last_pyramid: from.take::<Option<LkPyramid>>("last_pyramid")?.map(Arc::new),
+            velocity: from.take("velocity")?,
+            reference: from.take("reference")?,
+            relocalised_at: from.take("relocalised_at")?,
+        })
+    }
+}

@@ -1,0 +1,67 @@
+//! The pose of a frame from its links to static landmarks (eq. 11).
+
+use garad_optim::{PoseConfig, optimise_pose};
+
+use super::observation::observation;
+use crate::context::Context;
+use crate::frame::Frame;
+use crate::map::Map;
+use crate::trace::Recorder;
+
+/// Links without which no pose is computed.
+const MIN_LINKS: usize = 3;
+
+/// Optimises the frame's pose over its links to static landmarks (eq. 11, solved by
+/// [`optimise_pose`]) and unlinks the outliers. Returns the number of inliers; 0 leaves the pose as
+/// it was.
+pub(crate) fn pose_from_links(
+    context: &Context,
+    map: &Map,
+    frame: &mut Frame,
+    recorder: &mut Recorder,
+) -> usize {
+    let mut keypoints = Vec::new();
+    let mut observations = Vec::new();
+    for i in 0..frame.len() {
+        let Some(landmark) = frame.landmark[i].and_then(|l| map.static_landmark(l)) else {
+            frame.landmark[i] = None;
+            continue;
+        };
+        debug_assert!(frame.in_use[i], "only keypoints in use are linked");
+        keypoints.push(i);
+        let config = &context.config.tracking;
+        observations.push(observation(config, frame, i, landmark.p_world));
+    }
+    if observations.len() < MIN_LINKS {
+        return 0;
+    }
+    let before = frame.camera_from_world;
+    let solution = optimise_pose(
+        &context.camera,
+        &observations,
+        &before,
+        &pose_config(context),
+    )
+    .expect("at least three observations, of finite numbers");
+    if !solution.camera_from_world.is_finite() {
+        return 0;
+    }
+    recorder.record("pose", |record| {
+        record.pose_lm(&keypoints, &observations, &before, &solution);
+    });
+    frame.camera_from_world = solution.camera_from_world;
+    for (&i, inlier) in keypoints.iter().zip(&solution.inlier) {
+        if !inlier {
+            frame.landmark[i] = None;
+        }
+    }
+    solution.n_inliers
+}
+
+/// The settings of eq. 11's solver.
+pub(crate) fn pose_config(context: &Context) -> PoseConfig {
+    PoseConfig {
+        bf: context.config.tracking.bf,
+        ..PoseConfig::default()
+    }
+}
