@@ -41,12 +41,12 @@ use garad_crf::Crf;
 
 use self::bootstrap::{BootstrapBuffer, FutureView, future_views, patch_motion_pyramid};
 use self::evidence::{FreeSpaceHistory, HistoryView};
-use self::field::{FrameView, label_samples};
+use self::field::label_samples;
 use self::flow_check::{PreviousFrame, restore_static};
 use self::free_space::FreeSpace;
 use self::landmarks::label_landmarks;
 use self::patch_motion::reference_images;
-use self::samples::Lattice;
+use self::samples::{FrameView, Lattice};
 use crate::config::ConfigError;
 use crate::context::Context;
 use crate::frame::{Frame, FrameLabels};
@@ -66,11 +66,11 @@ pub struct Dynamics {
     lattice: Lattice,
     crf: Crf,
     /// Free space seen by the keyframes of the last seconds.
-    free_space: BTreeMap<KeyframeId, FreeSpace>,
+    pub(crate) free_space: BTreeMap<KeyframeId, FreeSpace>,
     /// The first frames, until it is known whether the run must restart.
     bootstrap: Option<BootstrapBuffer>,
     /// Later frames, while the first ones are processed again.
-    future: Vec<FutureView>,
+    pub(crate) future: Vec<FutureView>,
 }
 
 impl Dynamics {
@@ -112,10 +112,11 @@ impl Dynamics {
         recorder: &mut Recorder,
     ) -> Option<FrameLabels> {
         let now = view.frame.id;
-        let history = self.history(context, map, now);
-        if history.views.is_empty() || !self.is_active(context, now) {
+        let is_empty = self.free_space.is_empty() && self.future.is_empty();
+        if is_empty || !self.is_active(context, now) {
             return None;
         }
+        let history = self.history(context, map, now);
         let references = reference_images(context, map, images, &self.future, now);
         let labels = label_samples(
             context,

@@ -233,20 +233,22 @@ mod tests {
         }
     }
 
-    fn mapping(beside: bool) -> Mapping {
+    fn mapping(threads: usize) -> Mapping {
         let camera = Camera::pinhole((32, 24), [30.0, 30.0, 15.5, 11.5]).expect("valid");
-        let mapper = Mapper::new(&camera, &Config::default(), 0, Par::Seq).expect("valid");
-        Mapping::new(mapper, 5, beside)
+        let par = Par::new(threads);
+        let context = Context::new(camera, Config::default(), 0, par).expect("valid");
+        Mapping::new(&context).expect("valid")
     }
 
     /// Frame by frame: which keyframe's job is handed over when.
-    fn handovers(beside: bool) -> (Vec<(u32, MappingDone)>, Mapping) {
-        let mut mapping = mapping(beside);
+    fn handovers(threads: usize) -> (Vec<(u32, MappingDone)>, Mapping) {
+        let mut mapping = mapping(threads);
         let mut seen = Vec::new();
         for frame in 0..12 {
             while mapping.is_due(FrameId(frame)) {
-                let done = mapping.take().expect("alive").expect("due");
-                seen.push((frame, done));
+                assert!(mapping.hand_over().expect("alive"), "due");
+                let done = mapping.done().last().expect("handed over");
+                seen.push((frame, done.clone()));
             }
             for (keyframe, at) in [(0, 0), (1, 3), (2, 4)] {
                 if at == frame {
@@ -254,38 +256,35 @@ mod tests {
                 }
             }
         }
-        mapping.come_home().expect("alive");
+        mapping.worker.join().expect("alive");
         (seen, mapping)
     }
 
     #[test]
     fn jobs_are_handed_over_at_fixed_frames_wherever_they_run() {
-        let (here, map_here) = handovers(false);
-        let when: Vec<_> = here.iter().map(|(f, d)| (*f, d.keyframe.0)).collect();
+        let (inline, map_inline) = handovers(1);
+        let when: Vec<_> = inline.iter().map(|(f, d)| (*f, d.keyframe.0)).collect();
         assert_eq!(when, [(5, 0), (8, 1), (9, 2)], "five frames later each");
-        let (beside, map_beside) = handovers(true);
-        assert_eq!(here, beside, "the same answers from a thread of its own");
+        let (threaded, map_threaded) = handovers(2);
+        assert_eq!(inline, threaded, "the same answers from a thread of its own");
         assert!(
-            map_here.mapper().expect("home").gaussians()
-                == map_beside.mapper().expect("home").gaussians(),
+            map_inline.mapper().expect("at rest").gaussians()
+                == map_threaded.mapper().expect("at rest").gaussians(),
             "and the same map"
         );
     }
 
     #[test]
-    fn a_mapper_at_work_is_not_to_be_looked_at() {
-        let mut mapping = mapping(true);
+    fn the_map_is_not_accessible_while_the_mapper_works() {
+        let mut mapping = mapping(2);
         assert!(mapping.mapper().is_some(), "at rest before the first job");
         mapping.submit(job(0, 0)).expect("alive");
         assert!(mapping.mapper().is_none(), "at work");
-        mapping.take().expect("alive").expect("one job");
-        assert!(
-            mapping.take().expect("alive").is_none(),
-            "no second answer"
-        );
-        mapping.come_home().expect("alive");
+        assert!(mapping.hand_over().expect("alive"), "one job");
+        assert!(!mapping.hand_over().expect("alive"), "no second answer");
+        mapping.worker.join().expect("alive");
         assert_eq!(
-            mapping.mapper().expect("home").gaussians().len(),
+            mapping.mapper().expect("at rest").gaussians().len(),
             48,
             "8 x 6 samples"
         );

@@ -185,7 +185,8 @@ fn first_difference(what: &str, saved: &Value, given: &Value) -> Result<(), Sess
 
 #[cfg(test)]
 mod tests {
-    use garad_core::{GrayImage, KeyframeId};
+    use garad_core::GrayImage;
+    use garad_features::LkPyramid;
 
     use super::*;
 
@@ -243,7 +244,7 @@ mod tests {
         slam.context.config = mute.clone();
         mute.train.final_iterations = 77;
         let error = slam
-            .go_on_with(&slam.context.camera.clone(), &mute, 3)
+            .resume_with(&slam.context.camera.clone(), &mute, 3)
             .expect_err("no image was kept to train on");
         assert!(error.to_string().contains("train.final_iterations"), "{error}");
     }

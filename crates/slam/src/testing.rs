@@ -1,76 +1,138 @@
 //! Fixtures of the unit tests: a small camera in front of a wall, and its frames.
 
-    /// Everything here stands in front of a wall so far away, metres, or is it.
-    const WALL_M: f32 = 3.0;
+use garad_core::{
+    Camera, DepthImage, FrameId, GrayImage, KeyframeId, MaskImage, Par, Rng,
+};
+use garad_features::{Descriptor, Keypoint, LkPyramid};
 
-    /// A camera of 160 x 120 pixels at the origin.
-    pub(crate) fn slam(config: Config) -> Slam {
+use crate::config::Config;
+use crate::context::Context;
+use crate::dynamics::Dynamics;
+use crate::dynamics::free_space::FreeSpace;
+use crate::dynamics::samples::FrameView;
+use crate::frame::{Frame, Levels};
+use crate::images::ImageStore;
+use crate::map::Map;
+use crate::trace::Recorder;
+
+/// Distance of the wall, metres.
+const WALL_M: f32 = 3.0;
+
+/// What the stages of tracking and labelling read and own.
+pub(crate) struct World {
+    pub(crate) context: Context,
+    pub(crate) map: Map,
+    pub(crate) images: ImageStore,
+    pub(crate) dynamics: Dynamics,
+}
+
+impl World {
+    /// An empty map and a camera of 160 x 120 pixels.
+    pub(crate) fn new(config: Config) -> Self {
         let camera = Camera::pinhole((160, 120), [120.0, 120.0, 79.5, 59.5]).expect("valid");
-        Slam::new(camera, config, 0, Par::Seq).expect("valid")
+        Self::with_camera(camera, config)
     }
 
-    /// Blots of 3 x 3 pixels.
-    pub(crate) fn texture() -> GrayImage {
-        let mut rng = Rng::new(11);
-        let blots = GrayImage::from_fn(60, 41, |_, _| {
-            40 + u8::try_from(rng.below(170)).expect("u8")
-        });
-        GrayImage::from_fn(160, 120, |x, y| blots[(x / 3, y / 3)])
+    pub(crate) fn with_camera(camera: Camera, config: Config) -> Self {
+        let context = Context::new(camera, config, 0, Par::Seq).expect("valid");
+        Self {
+            map: Map::default(),
+            images: ImageStore::default(),
+            dynamics: Dynamics::new(&context).expect("valid"),
+            context,
+        }
     }
 
-    pub(crate) fn wall() -> DepthImage {
-        DepthImage::new(160, 120, WALL_M)
+    /// A frame with a keypoint at each of [`places`].
+    pub(crate) fn frame(&self, id: u32, depth: &DepthImage) -> Frame {
+        self.frame_of(id, &keypoints(places()), depth)
     }
 
-    /// A box half way to the wall that covers these columns and rows.
-    pub(crate) fn wall_behind(box_px: [[usize; 2]; 2]) -> DepthImage {
-        DepthImage::from_fn(160, 120, |x, y| match is_in(box_px, x, y) {
-            true => 0.5 * WALL_M,
-            false => WALL_M,
-        })
-    }
-
-    pub(crate) fn is_in([[x0, x1], [y0, y1]]: [[usize; 2]; 2], x: usize, y: usize) -> bool {
-        (x0..x1).contains(&x) && (y0..y1).contains(&y)
-    }
-
-    /// Every 8th pixel each way: 20 columns of 15 keypoints.
-    pub(crate) fn places() -> Vec<[usize; 2]> {
-        let columns = (4..160).step_by(8);
-        columns
-            .flat_map(|x| (4..120).step_by(8).map(move |y| [x, y]))
-            .collect()
-    }
-
-    /// A picture with a keypoint at each of [`places`].
-    pub(crate) fn frame(slam: &Slam, id: u32, depth: &DepthImage) -> Frame {
-        let keypoints: Vec<Keypoint> = places()
-            .into_iter()
-            .map(|[x, y]| Keypoint {
-                x: x as f32,
-                y: y as f32,
-                level: 0,
-                angle_deg: 0.0,
-                response: 1.0,
-            })
-            .collect();
+    pub(crate) fn frame_of(&self, id: u32, keypoints: &[Keypoint], depth: &DepthImage) -> Frame {
+        let config = &self.context.config;
+        let levels = Levels::new(depth.size(), 1.2, 8, config.features.exact_levels);
         Frame::new(
             FrameId(id),
             f64::from(id) / 30.0,
-            keypoints,
-            vec![Descriptor::default(); places().len()],
+            keypoints.to_vec(),
+            vec![Descriptor::default(); keypoints.len()],
             depth,
             None,
-            &slam.camera,
-            &Levels::new((160, 120), 1.2, 8, true),
-            &slam.config,
+            &self.context.camera,
+            &levels,
+            config,
         )
     }
 
-    /// Makes the frame a keyframe and its depth a witness.
-    pub(crate) fn keep(slam: &mut Slam, frame: Frame, depth: &DepthImage) -> KeyframeId {
-        let id = slam.map.add_keyframe(frame);
-        slam.witnesses.insert(id, Witness::new(depth, 8.0));
+    /// Adds a keyframe and its free space.
+    pub(crate) fn keep(&mut self, frame: Frame, depth: &DepthImage) -> KeyframeId {
+        let id = self.map.add_keyframe(frame);
+        let free_space = FreeSpace::new(depth, 8.0);
+        self.dynamics.free_space.insert(id, free_space);
         id
     }
 
+    /// Labels a frame, without a frame just before, and returns its mask in cells.
+    pub(crate) fn label(
+        &self,
+        frame: &mut Frame,
+        depth: &DepthImage,
+        pyramid: Option<&LkPyramid>,
+    ) -> Option<MaskImage> {
+        let view = FrameView {
+            frame,
+            depth,
+            pyramid,
+        };
+        let (context, recorder) = (&self.context, &mut Recorder::default());
+        let (map, images) = (&self.map, &self.images);
+        let labels = (self.dynamics).label_frame(context, view, map, images, None, recorder)?;
+        frame.apply_labels(&labels, &context.camera);
+        Some(labels.cells)
+    }
+}
+
+/// Keypoints of level 0 at these pixels.
+pub(crate) fn keypoints(places: impl IntoIterator<Item = [usize; 2]>) -> Vec<Keypoint> {
+    let keypoint = |[x, y]: [usize; 2]| Keypoint {
+        x: x as f32,
+        y: y as f32,
+        level: 0,
+        angle_deg: 0.0,
+        response: 1.0,
+    };
+    places.into_iter().map(keypoint).collect()
+}
+
+/// Blots of 3 x 3 pixels.
+pub(crate) fn texture() -> GrayImage {
+    let mut rng = Rng::new(11);
+    let blots = GrayImage::from_fn(60, 41, |_, _| {
+        40 + u8::try_from(rng.below(170)).expect("u8")
+    });
+    GrayImage::from_fn(160, 120, |x, y| blots[(x / 3, y / 3)])
+}
+
+pub(crate) fn wall() -> DepthImage {
+    DepthImage::new(160, 120, WALL_M)
+}
+
+/// A box half way to the wall that covers these columns and rows.
+pub(crate) fn wall_behind(box_px: [[usize; 2]; 2]) -> DepthImage {
+    DepthImage::from_fn(160, 120, |x, y| match is_in(box_px, x, y) {
+        true => 0.5 * WALL_M,
+        false => WALL_M,
+    })
+}
+
+pub(crate) fn is_in([[x0, x1], [y0, y1]]: [[usize; 2]; 2], x: usize, y: usize) -> bool {
+    (x0..x1).contains(&x) && (y0..y1).contains(&y)
+}
+
+/// Every 8th pixel each way: 20 columns of 15 keypoints.
+pub(crate) fn places() -> Vec<[usize; 2]> {
+    let columns = (4..160).step_by(8);
+    columns
+        .flat_map(|x| (4..120).step_by(8).map(move |y| [x, y]))
+        .collect()
+}

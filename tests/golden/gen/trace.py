@@ -114,7 +114,7 @@ def check_keypoints(checks, run, features, depth, config):
         offsets = [(x + dx, y + dy) for dy in range(-10, 11, 5) for dx in range(-10, 11, 5)]
         z = [float(depth[b, a]) for a, b in offsets if 0 <= a < width and 0 <= b < height]
         center = float(depth[y, x])
-        surface.append(center > 0 and all(v <= 0 or abs(v - center) <= config["refine"]["surface_ratio"] * center for v in z))
+        surface.append(center > 0 and all(v <= 0 or abs(v - center) <= config["subpixel"]["surface_ratio"] * center for v in z))
     checks.same(run, "one_surface", surface, "numpy: 21 x 21 pixels")
     checks.same(run, "in_use", np.ones(len(px)), "no mask is given")
 
@@ -147,7 +147,7 @@ def check_pose(checks, run, intrinsics, bf):
 
 def planes(depth, config):
     """Inverse depth as a linear function of the pixel, by numpy's least squares, in blocks of 16 x 16."""
-    noise, far, rows = config["surface"]["noise"], config["features"]["max_depth_m"], []
+    noise, far, rows = config["depth_planes"]["noise"], config["features"]["max_depth_m"], []
     for y0 in range(0, depth.shape[0] - 15, 16):
         for x0 in range(0, depth.shape[1] - 15, 16):
             y, x = np.mgrid[-7.5:8, -7.5:8]
@@ -165,20 +165,20 @@ def planes(depth, config):
     return np.array(rows)
 
 
-def agreement_cost(run, pose, intrinsics, size, config):
+def depth_pose_cost(run, pose, intrinsics, size, config):
     """F of decision 009 at a pose, formula by formula."""
     fx, fy, cx, cy = intrinsics
-    c, noise = config["surface"], config["surface"]["noise"]
+    c, noise = config["depth_planes"], config["depth_planes"]["noise"]
     geman = lambda s, scale: s / (1 + s / scale ** 2)
     p = run["p_world"] @ pose[:, :3].T + pose[:, 3]
     r = (np.c_[fx * p[:, 0] / p[:, 2] + cx, fy * p[:, 1] / p[:, 2] + cy] - run["uv_px"]) / run["sigma_px"][:, None]
     cost = 0.5 * geman((r ** 2).sum(1), c["outlier_px"]).sum()
-    others = sum(f"patches_{k}" in run for k in range(c["keyframes"]))
-    now = run["patches"][~np.isnan(run["patches"][:, 0])]
+    others = sum(f"planes_{k}" in run for k in range(c["keyframes"]))
+    now = run["planes"][~np.isnan(run["planes"][:, 0])]
     x, y, w = now[:, 0], now[:, 1], now[:, 4]
     p_world = (np.c_[(x - cx) / fx, (y - cy) / fy, np.ones(len(w))] / w[:, None] - pose[:, 3]) @ pose[:, :3]
     for k in range(others):
-        then, other = run[f"patches_{k}"], run[f"pose_{k}"]
+        then, other = run[f"planes_{k}"], run[f"pose_{k}"]
         q = p_world @ other[:, :3].T + other[:, 3]
         q = q[q[:, 2] >= 0.1]
         u, v = fx * q[:, 0] / q[:, 2] + cx, fy * q[:, 1] / q[:, 2] + cy
@@ -195,8 +195,8 @@ def agreement_cost(run, pose, intrinsics, size, config):
     return cost
 
 
-def check_agreement(checks, run, intrinsics, size, config):
-    cost = lambda pose: agreement_cost(run, pose, intrinsics, size, config)
+def check_depth_pose(checks, run, intrinsics, size, config):
+    cost = lambda pose: depth_pose_cost(run, pose, intrinsics, size, config)
     checks.same(run, "cost", [cost(run["after"])], "numpy: the formula at the pose found", rel=1e-9)
     if cost(run["after"]) > cost(run["before"]) * (1 + 1e-9):
         checks.problems.append(f"{run.name}: the cost has risen")
@@ -211,7 +211,7 @@ def field(nodes_of, config, log_odds):
 def check_label(checks, run, config):
     labels, depth = config["labels"], config["crf"]["unary"]["depth"]
     residual, known = run["depth_residual"], ~np.isnan(run["depth_residual"])
-    settled = np.minimum(run["agreed_for"] / labels["settle_frames"], 1)
+    settled = np.minimum(run["agreed_frames"] / labels["settle_frames"], 1)
     trust = np.where(known, labels["trust_young"] + (labels["trust_old"] - labels["trust_young"]) * settled, labels["trust_unknown"])
     beyond = np.maximum(np.where(known, residual, 0) - depth["mean"], 0) / depth["sigma"]
     clamp = config["crf"]["unary"]["clamp"]
@@ -374,7 +374,7 @@ def standing(world, camera, pose, uv, z, reach_px, depth_ratio):
 def check_insert(checks, run, before, picture, masks, pose, camera, config):
     """A new landmark takes a free Gaussian of its place or brings one; then one for every lattice pixel with depth
     that the map with those leaves open and that has none of its surface beside it."""
-    seed, rgb, depth = config["seed"], picture["rgb"], picture["depth_m"]
+    seed, rgb, depth = config["insertion"], picture["rgb"], picture["depth_m"]
     fx, fy, cx, cy = camera["fx_fy_cx_cy"]
     focal, stride, (height, width) = (fx + fy) / 2, seed["stride_px"], depth.shape
     old = len(before["means"])
@@ -451,16 +451,16 @@ def main():
             checks.same(run, "predicted", (full(run["velocity"]) @ full(run["last"]))[:3], "numpy: a product of matrices", abs_=1e-14)
         elif stage == "pose":
             check_pose(checks, run, intrinsics, bf)
-        elif stage == "surface":
-            checks.same(run, "patches", planes(depth, config), "numpy", abs_=1e-9, rel=1e-9)
-        elif stage == "agreement":
-            check_agreement(checks, run, intrinsics, depth.shape[::-1], config)
+        elif stage == "depth_planes":
+            checks.same(run, "planes", planes(depth, config), "numpy", abs_=1e-9, rel=1e-9)
+        elif stage == "depth_pose":
+            check_depth_pose(checks, run, intrinsics, depth.shape[::-1], config)
         elif stage == "label":
             check_label(checks, run, config)
         elif stage == "masks":
             check_masks(checks, run, get(frame, "label"), get(frame, "keypoints"), depth, config)
-        elif stage in ("flow_lk", "refine"):
-            check_tracks(checks, run, config["refine"]["max_residual"])
+        elif stage in ("flow_lk", "subpixel"):
+            check_tracks(checks, run, config["subpixel"]["max_residual"])
         elif stage == "flow":
             check_flow(checks, run, config)
         elif stage == "label_map":

@@ -6,27 +6,18 @@
 //!            keypoint labels, mask in cells ←─ beliefs ←─ random field ←───────┘
 //! ```
 
-use garad_core::{DepthImage, Label, Real};
+use garad_core::{Label, Real};
 use garad_crf::{Crf, Cues, Node, unary};
-use garad_features::LkPyramid;
 
 use super::evidence::{DepthEvidence, FreeSpaceHistory};
 use super::mask::{label_at, mask_from_beliefs};
 use super::patch_motion::{ReferenceImage, add_patch_motion};
-use super::samples::{Lattice, Sample, keypoint_samples};
+use super::samples::{FrameView, Lattice, Sample, keypoint_samples};
 use crate::config::Config;
 use crate::context::Context;
-use crate::frame::{Frame, FrameLabels};
+use crate::frame::FrameLabels;
 use crate::mask::{self, CELL_PX};
 use crate::trace::Recorder;
-
-/// A frame to be labelled, and its images.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct FrameView<'a> {
-    pub(crate) frame: &'a Frame,
-    pub(crate) depth: &'a DepthImage,
-    pub(crate) pyramid: Option<&'a LkPyramid>,
-}
 
 /// Labels a frame's keypoints and mask from its first pose. `None` if the history contradicts
 /// nearly every sample, which is a wrong pose rather than a crowd.
@@ -137,23 +128,21 @@ fn log_odds(config: &Config, evidence: &DepthEvidence) -> f64 {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
-    use garad_core::{GrayImage, KeyframeId, Par, Rng, Se3};
-    use garad_features::{Descriptor, Keypoint};
+mod tests {
+    use garad_core::{DepthImage, MaskImage, Se3};
 
     use super::*;
-    use crate::config::Config;
-    use crate::frame::Levels;
-    use crate::labels::witness::Witness;
+    use crate::mask::{MOVING, full_size};
+    use crate::testing::{World, is_in, places, wall, wall_behind};
 
-    /// Has kept frames 0, 20 and 40, all of this.
-    fn slam_that_saw(depth: &DepthImage, config: Config) -> Slam {
-        let mut slam = slam(config);
+    /// Keyframes 0, 20 and 40, all of this.
+    fn world_that_saw(depth: &DepthImage, config: Config) -> World {
+        let mut world = World::new(config);
         for id in [0, 20, 40] {
-            let seen = frame(&slam, id, depth);
-            keep(&mut slam, seen, depth);
+            let seen = world.frame(id, depth);
+            world.keep(seen, depth);
         }
-        slam
+        world
     }
 
     fn moving_share(cells: &MaskImage) -> f64 {
@@ -162,12 +151,12 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_has_come_moves_to_the_cell() {
-        let slam = slam_that_saw(&wall(), Config::default());
+    fn a_new_box_is_dynamic_to_the_cell() {
+        let world = world_that_saw(&wall(), Config::default());
         let box_px = [[48, 112], [32, 96]];
         let depth = wall_behind(box_px);
-        let mut now = frame(&slam, 60, &depth);
-        let cells = slam.label_frame(&mut now, &depth, None).expect("labelled");
+        let mut now = world.frame(60, &depth);
+        let cells = world.label(&mut now, &depth, None).expect("labelled");
         let expected = MaskImage::from_fn(40, 30, |x, y| {
             if is_in(box_px, 4 * x, 4 * y) {
                 MOVING
@@ -191,47 +180,47 @@ pub(crate) mod tests {
         assert!(places().iter().all(|&[x, y]| same(x, y)), "full size");
     }
 
-    /// What a thing uncovers as it goes was hidden until now: nobody says anything against it.
+    /// What an object uncovers as it leaves was occluded until now: there is no evidence against it.
     #[test]
-    fn what_is_uncovered_does_not_move() {
-        let slam = slam_that_saw(&wall_behind([[48, 112], [32, 96]]), Config::default());
-        let mut now = frame(&slam, 60, &wall());
-        let cells = slam.label_frame(&mut now, &wall(), None).expect("labelled");
+    fn uncovered_background_is_static() {
+        let world = world_that_saw(&wall_behind([[48, 112], [32, 96]]), Config::default());
+        let mut now = world.frame(60, &wall());
+        let cells = world.label(&mut now, &wall(), None).expect("labelled");
         assert!(moving_share(&cells) <= 0.0, "an empty wall");
         assert!(now.in_use.iter().all(|u| *u), "all of it in use");
     }
 
     #[test]
-    fn nothing_is_said_before_the_bootstrap_or_without_a_witness() {
-        let mut slam = slam(Config::default());
-        let mut early = frame(&slam, 9, &wall());
+    fn no_labels_before_the_bootstrap_is_over_or_without_history() {
+        let mut world = World::new(Config::default());
+        let mut early = world.frame(9, &wall());
         assert!(
-            slam.label_frame(&mut early, &wall(), None).is_none(),
+            world.label(&mut early, &wall(), None).is_none(),
             "frame 9"
         );
-        let mut alone = frame(&slam, 10, &wall());
+        let mut alone = world.frame(10, &wall());
         assert!(
-            slam.label_frame(&mut alone, &wall(), None).is_none(),
-            "no witness"
+            world.label(&mut alone, &wall(), None).is_none(),
+            "no history"
         );
-        keep(&mut slam, early.clone(), &wall());
+        world.keep(early.clone(), &wall());
         assert!(
-            slam.label_frame(&mut early, &wall(), None).is_none(),
+            world.label(&mut early, &wall(), None).is_none(),
             "frame 9"
         );
         assert!(
-            slam.label_frame(&mut alone, &wall(), None).is_some(),
+            world.label(&mut alone, &wall(), None).is_some(),
             "frame 10"
         );
     }
 
     #[test]
-    fn a_witness_is_asked_for_so_many_frames() {
-        let slam = slam_that_saw(&wall(), Config::default());
+    fn a_keyframe_is_part_of_the_history_for_memory_frames() {
+        let world = world_that_saw(&wall(), Config::default());
         let depth = wall_behind([[48, 112], [32, 96]]);
         for (id, asked) in [(130, true), (131, false)] {
-            let mut now = frame(&slam, id, &depth);
-            let cells = slam.label_frame(&mut now, &depth, None).expect("labelled");
+            let mut now = world.frame(id, &depth);
+            let cells = world.label(&mut now, &depth, None).expect("labelled");
             assert_eq!(moving_share(&cells) > 0.0, asked, "frame {id}: 40 + 90");
         }
     }
@@ -240,19 +229,19 @@ pub(crate) mod tests {
     #[test]
     fn nearly_everything_moving_is_a_wrong_pose() {
         let mut config = Config::default();
-        let mut slam = slam_that_saw(&wall(), config.clone());
+        let mut world = world_that_saw(&wall(), config.clone());
         let mut nine = wall_behind([[0, 144], [0, 120]]);
-        let mut now = frame(&slam, 60, &nine);
-        let labelled = slam.label_frame(&mut now, &nine, None);
+        let mut now = world.frame(60, &nine);
+        let labelled = world.label(&mut now, &nine, None);
         assert!(
             moving_share(&labelled.expect("nine of ten")) > 0.85,
             "nearly all"
         );
 
         nine = wall_behind([[0, 160], [0, 120]]);
-        now = frame(&slam, 60, &nine);
+        now = world.frame(60, &nine);
         assert!(
-            slam.label_frame(&mut now, &nine, None).is_none(),
+            world.label(&mut now, &nine, None).is_none(),
             "ten of ten"
         );
         assert!(now.label.iter().all(|l| *l == Label::Static), "no label");
@@ -260,36 +249,36 @@ pub(crate) mod tests {
 
         // The same wall, but the pose is a metre off: everything floats in front of it.
         let step = Se3::exp(&[0.0, 0.0, 1.0, 0.0, 0.0, 0.0].into());
-        let mut lost = frame(&slam, 60, &wall());
+        let mut lost = world.frame(60, &wall());
         lost.camera_from_world = step;
         assert!(
-            slam.label_frame(&mut lost, &wall(), None).is_none(),
+            world.label(&mut lost, &wall(), None).is_none(),
             "a metre off"
         );
         lost.camera_from_world = Se3::identity();
-        let right = slam
-            .label_frame(&mut lost, &wall(), None)
+        let right = world
+            .label(&mut lost, &wall(), None)
             .expect("right pose");
         assert!(moving_share(&right) <= 0.0, "the wall");
 
         config.labels.max_moving = 1.0;
-        slam = slam_that_saw(&wall(), config);
+        world = world_that_saw(&wall(), config);
         lost.camera_from_world = step;
-        let cells = slam
-            .label_frame(&mut lost, &wall(), None)
+        let cells = world
+            .label(&mut lost, &wall(), None)
             .expect("no guard");
-        // What lies within the old picture: (2/3)² of it.
+        // The part within the old image: (2/3)² of it.
         assert!(moving_share(&cells) > 0.4, "{}", moving_share(&cells));
     }
 
     #[test]
-    fn trust_grows_with_the_age_of_the_agreement() {
-        let slam = slam(Config::default());
-        let odds = |residual, agreed_for| {
-            slam.log_odds(&Verdict {
+    fn trust_grows_with_the_age_of_the_evidence() {
+        let odds = |residual, agreed_frames| {
+            let evidence = DepthEvidence {
                 residual,
-                agreed_for,
-            })
+                agreed_frames,
+            };
+            log_odds(&Config::default(), &evidence)
         };
         let unknown = Real::ln(0.45f64 / 0.55);
         assert!((odds(None, 0) - unknown).abs() < 1e-12, "a coin, nearly");
@@ -308,24 +297,5 @@ pub(crate) mod tests {
         assert!(residuals.is_sorted_by(|a, b| a < b), "{residuals:?}");
         assert!(residuals[1] < 0.0 && residuals[2] > 0.0, "{residuals:?}");
         assert!(odds(Some(1e9), 0).is_finite(), "clamped");
-    }
-
-    #[test]
-    fn samples_look_beside_a_hole() {
-        let slam = slam(Config::default());
-        let mut depth = wall();
-        for (x, y) in [(8, 8), (9, 8), (7, 8), (8, 9)] {
-            depth[(x, y)] = 0.0;
-        }
-        for y in 0..16 {
-            depth.row_mut(y)[16..48].fill(0.0);
-        }
-        depth[(40, 8)] = 8.5;
-        let samples = slam.lattice.samples(&depth, 8.0);
-        assert_eq!(samples.len(), 80, "10 x 8");
-        assert_eq!(samples[0], Some(([8, 7], 3.0)), "above the hole");
-        assert_eq!(samples[1], None, "nothing in reach");
-        assert_eq!(samples[2], None, "too far");
-        assert_eq!(samples[3], Some(([56, 8], 3.0)), "the middle of its block");
     }
 }

@@ -6,7 +6,7 @@ use garad_features::flow::{FlowPoint, verify_flow};
 use garad_features::{LkConfig, LkPyramid, lk};
 use nalgebra::Vector2;
 
-use super::field::FrameView;
+use super::samples::FrameView;
 use crate::context::Context;
 use crate::frame::{Frame, FrameLabels};
 use crate::images::lk_point;
@@ -114,31 +114,77 @@ pub(crate) fn restore_static(
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
-    use garad_core::{FrameId, GrayImage};
+    use garad_core::{FrameId, GrayImage, MaskImage};
 
     use super::*;
     use crate::config::Config;
-    use crate::labels::frame::tests::{frame, is_in, places, slam, texture, wall, wall_behind};
+    use crate::testing::{World, is_in, places, texture, wall, wall_behind};
 
-    /// What moves between the two pictures, and how far, px.
+    /// A frame with suspects, the frame just before, and their images.
+    struct Scene {
+        context: Context,
+        last: Frame,
+        now: Frame,
+        images: [LkPyramid; 2],
+        labels: FrameLabels,
+    }
+
+    impl Scene {
+        fn new(world: World, last: Frame, now: Frame, images: [LkPyramid; 2]) -> Self {
+            let labels = FrameLabels {
+                label: vec![Label::Static; now.len()],
+                in_use: vec![true; now.len()],
+                suspect: vec![false; now.len()],
+                cells: MaskImage::new(40, 30, 0),
+            };
+            Self {
+                context: world.context,
+                last,
+                now,
+                images,
+                labels,
+            }
+        }
+
+        /// The labels after the flow check.
+        fn checked(&self) -> FrameLabels {
+            let [before, now] = &self.images;
+            let view = FrameView {
+                frame: &self.now,
+                depth: &wall(),
+                pyramid: Some(now),
+            };
+            let previous = PreviousFrame {
+                frame: &self.last,
+                pyramid: before,
+            };
+            let (labels, recorder) = (self.labels.clone(), &mut Recorder::default());
+            restore_static(&self.context, view, previous, labels, recorder)
+        }
+
+        fn restored(&self) -> usize {
+            let after = self.checked();
+            let changed = after.label.iter().zip(&self.labels.label);
+            changed.filter(|(now, before)| now != before).count()
+        }
+    }
+
+    /// What moves between the two images, and how far, px.
     const PATCH_PX: [[usize; 2]; 2] = [[48, 112], [32, 96]];
     const SHIFT_PX: usize = 3;
 
-    /// A camera at rest: the second picture is the first, but for a patch that moves to the left.
+    /// A camera at rest: the second image is the first, but for a patch that moves to the left.
     /// Suspects are the inner part of the patch and a column of keypoints far from it.
-    fn scene(config: Config) -> (Slam, Frame, LkPyramid, [Vec<usize>; 2]) {
-        let mut slam = slam(config);
+    fn scene() -> (Scene, [Vec<usize>; 2]) {
+        let world = World::new(Config::default());
         let first = texture();
         let second = GrayImage::from_fn(160, 120, |x, y| match is_in(PATCH_PX, x, y) {
             true => first[(x + SHIFT_PX, y)],
             false => first[(x, y)],
         });
-        let pyramid = |image| LkPyramid::new(image, 1).expect("a picture");
-        slam.last = Some(frame(&slam, 20, &wall()));
-        slam.last_pyramid = Some(Arc::new(pyramid(&first)));
-        let mut now = frame(&slam, 21, &wall());
+        let pyramid = |image| LkPyramid::new(image, 1).expect("an image");
+        let (last, now) = (world.frame(20, &wall()), world.frame(21, &wall()));
+        let mut scene = Scene::new(world, last, now, [pyramid(&first), pyramid(&second)]);
         let places = places();
         let within = |area: [[usize; 2]; 2]| {
             let all = 0..places.len();
@@ -147,26 +193,23 @@ mod tests {
         };
         let moving: Vec<usize> = within([[60, 98], [44, 84]]);
         let still: Vec<usize> = within([[10, 26], [20, 100]]);
-        let mut label = vec![Label::Static; now.len()];
-        for &i in moving.iter().chain(&still) {
-            label[i] = Label::Dynamic;
-        }
         let patch: Vec<usize> = within(PATCH_PX);
-        let in_use = (0..now.len()).map(|i| label[i] == Label::Static && !patch.contains(&i));
-        let in_use = in_use.collect();
-        now.set_labels(label, in_use, &slam.camera);
-        (slam, now, pyramid(&second), [moving, still])
+        let labels = &mut scene.labels;
+        for &i in moving.iter().chain(&still) {
+            labels.label[i] = Label::Dynamic;
+        }
+        for &i in moving.iter().chain(&still).chain(&patch) {
+            labels.in_use[i] = false;
+        }
+        (scene, [moving, still])
     }
 
     #[test]
-    fn who_flows_with_the_scene_is_static_again() {
-        let (slam, mut now, pyramid, [moving, still]) = scene(Config::default());
+    fn suspects_that_flow_with_the_scene_are_static_again() {
+        let (scene, [moving, still]) = scene();
         assert!(moving.len() >= 20 && still.len() == 20, "suspects");
-        assert_eq!(
-            slam.recover_by_flow(&mut now, &pyramid),
-            still.len(),
-            "some"
-        );
+        let now = scene.checked();
+        assert_eq!(scene.restored(), still.len(), "some");
         for (what, suspects, label) in [
             ("still", still, Label::Static),
             ("moving", moving, Label::Dynamic),
@@ -177,7 +220,7 @@ mod tests {
                     is,
                     (label, label == Label::Static),
                     "{what}: {:?}",
-                    now.px[i]
+                    scene.now.px[i]
                 );
             }
         }
@@ -186,21 +229,20 @@ mod tests {
     /// The camera has gone 10 cm to the right past a box at 1.5 m, in front of a wall at 3 m: with fx = 120 px the
     /// wall has gone 4 px to the left, and something at rest on the box 8 px. The suspects are on the box, which
     /// has gone `box_px`.
-    fn past_a_box(box_px: usize) -> (Slam, Frame, LkPyramid, Vec<usize>) {
-        let mut slam = slam(Config::default());
+    fn past_a_box(box_px: usize) -> (Scene, Vec<usize>) {
+        let world = World::new(Config::default());
         let first = texture();
         let at = |x: usize, y| first[(x.min(159), y)];
         let second = GrayImage::from_fn(160, 120, |x, y| match is_in(PATCH_PX, x, y) {
             true => at(x + box_px, y),
             false => at(x + 4, y),
         });
-        let pyramid = |image| LkPyramid::new(image, 1).expect("a picture");
-        slam.last = Some(frame(&slam, 20, &wall()));
-        slam.last_pyramid = Some(Arc::new(pyramid(&first)));
-        let mut now = frame(&slam, 21, &wall_behind(PATCH_PX));
+        let pyramid = |image| LkPyramid::new(image, 1).expect("an image");
+        let last = world.frame(20, &wall());
+        let mut now = world.frame(21, &wall_behind(PATCH_PX));
         now.camera_from_world.translation.x = -0.1;
-        let mut label = vec![Label::Static; now.len()];
-        let mut in_use = vec![true; now.len()];
+        let mut scene = Scene::new(world, last, now, [pyramid(&first), pyramid(&second)]);
+        let FrameLabels { label, in_use, .. } = &mut scene.labels;
         let mut suspects = Vec::new();
         for (i, [x, y]) in places().into_iter().enumerate() {
             in_use[i] = !is_in([[36, 124], [20, 108]], x, y);
@@ -209,20 +251,19 @@ mod tests {
                 suspects.push(i);
             }
         }
-        now.set_labels(label, in_use, &slam.camera);
-        (slam, now, pyramid(&second), suspects)
+        (scene, suspects)
     }
 
-    /// What is near flows further. The prediction knows, so who has flowed twice as far as the wall is at rest, and
-    /// who has kept up with the wall has moved.
+    /// Near points flow further, as predicted: a suspect that flowed twice as far as the wall is static, and
+    /// one that flowed as far as the wall has moved.
     #[test]
     fn predicted_flow_goes_the_way_of_the_flow() {
         for (box_px, label) in [(8, Label::Static), (4, Label::Dynamic)] {
-            let (slam, mut now, pyramid, suspects) = past_a_box(box_px);
+            let (scene, suspects) = past_a_box(box_px);
             assert!(suspects.len() >= 16, "suspects");
-            let recovered = slam.recover_by_flow(&mut now, &pyramid);
+            let now = scene.checked();
             let at_rest = suspects.iter().filter(|_| label == Label::Static).count();
-            assert_eq!(recovered, at_rest, "{box_px} px");
+            assert_eq!(scene.restored(), at_rest, "{box_px} px");
             assert!(
                 suspects.iter().all(|i| now.label[*i] == label),
                 "{box_px} px"
@@ -231,21 +272,16 @@ mod tests {
     }
 
     #[test]
-    fn without_a_picture_of_just_before_suspects_stay() {
-        let (mut slam, now, pyramid, _) = scene(Config::default());
-        let recovered = |slam: &Slam| slam.recover_by_flow(&mut now.clone(), &pyramid);
-        assert_eq!(recovered(&slam), 20, "as it should be");
-        slam.config.flow.enabled = false;
-        assert_eq!(recovered(&slam), 0, "switched off");
-        slam.config.flow.enabled = true;
-        slam.config.flow.min_support = 1000;
-        assert_eq!(recovered(&slam), 0, "too few to make a model of");
-        slam.config.flow.min_support = 10;
-        if let Some(last) = &mut slam.last {
-            last.id = FrameId(19);
-        }
-        assert_eq!(recovered(&slam), 0, "a frame is missing in between");
-        slam.last_pyramid = None;
-        assert_eq!(recovered(&slam), 0, "no picture");
+    fn without_an_image_of_the_frame_just_before_suspects_stay() {
+        let (mut scene, _) = scene();
+        assert_eq!(scene.restored(), 20, "as it should be");
+        scene.context.config.flow.enabled = false;
+        assert_eq!(scene.restored(), 0, "switched off");
+        scene.context.config.flow.enabled = true;
+        scene.context.config.flow.min_support = 1000;
+        assert_eq!(scene.restored(), 0, "too few to fit a model to");
+        scene.context.config.flow.min_support = 10;
+        scene.last.id = FrameId(19);
+        assert_eq!(scene.restored(), 0, "a frame is missing in between");
     }
 }

@@ -66,160 +66,170 @@ pub(crate) fn label_landmarks(
 
 #[cfg(test)]
 mod tests {
-    use garad_core::Se3;
+    use garad_core::{FrameId, Se3};
     use nalgebra::Vector6;
 
     use super::*;
     use crate::config::Config;
-    use crate::labels::frame::tests::{frame, is_in, keep, places, slam, wall, wall_behind};
+    use crate::testing::{World, is_in, places, wall, wall_behind};
+
+    /// Labels a keyframe's landmarks; returns those that changed.
+    fn label(world: &mut World, keyframe: KeyframeId) -> Vec<(LandmarkId, Label)> {
+        let World { context, map, dynamics, .. } = world;
+        let now = map.keyframe(keyframe).id;
+        let crf = Crf::new(context.config.crf.clone()).expect("valid");
+        let history = dynamics.history(context, map, now);
+        let recorder = &mut Recorder::default();
+        label_landmarks(context, map, keyframe, &crf, &history, recorder)
+    }
 
     const BOX_PX: [[usize; 2]; 2] = [[48, 112], [32, 96]];
 
     /// Two keyframes see a box in front of a wall, each keypoint a landmark; a third sees the wall
     /// alone. Returns the third and the landmarks of the box and of the wall.
-    fn a_box_has_gone(config: Config) -> (Slam, KeyframeId, [Vec<LandmarkId>; 2]) {
-        let mut slam = slam(config);
+    fn a_box_that_left(config: Config) -> (World, KeyframeId, [Vec<LandmarkId>; 2]) {
+        let mut world = World::new(config);
         let before = wall_behind(BOX_PX);
-        let seen = frame(&slam, 0, &before);
-        let first = keep(&mut slam, seen, &before);
-        let mut second = frame(&slam, 10, &before);
-        let mut third = frame(&slam, 20, &wall());
+        let seen = world.frame(0, &before);
+        let first = world.keep(seen, &before);
+        let mut second = world.frame(10, &before);
+        let mut third = world.frame(20, &wall());
         let mut of = [Vec::new(), Vec::new()];
-        let scales = slam.scales.clone();
+        let scales = world.context.scales.clone();
         for (i, [x, y]) in places().into_iter().enumerate() {
-            let p_world = slam.map.keyframe(first).world_point(i, &slam.camera);
+            let p_world = world.map.keyframe(first).world_point(i, &world.context.camera);
             let p_world = p_world.expect("no keypoint is on an edge");
-            let id = slam.map.add_landmark(p_world, first, i, &scales);
+            let id = world.map.add_landmark(p_world, first, i, &scales);
             let on_wall = !is_in(BOX_PX, x, y);
             second.landmark[i] = Some(id);
             third.landmark[i] = on_wall.then_some(id);
             of[usize::from(on_wall)].push(id);
         }
-        keep(&mut slam, second, &before);
-        let third = keep(&mut slam, third, &wall());
-        (slam, third, of)
+        world.keep(second, &before);
+        let third = world.keep(third, &wall());
+        (world, third, of)
     }
 
-    fn alive(slam: &Slam, ids: &[LandmarkId]) -> usize {
-        let found = ids.iter().filter(|id| slam.map.landmark(**id).is_some());
+    fn alive(world: &World, ids: &[LandmarkId]) -> usize {
+        let found = ids.iter().filter(|id| world.map.landmark(**id).is_some());
         found.count()
     }
 
     #[test]
-    fn what_a_keyframe_sees_through_moves_and_is_not_looked_for() {
-        let (mut slam, third, [of_box, of_wall]) = a_box_has_gone(Config::default());
+    fn landmarks_in_free_space_are_dynamic_and_not_searched_for() {
+        let (mut world, third, [of_box, of_wall]) = a_box_that_left(Config::default());
         assert_eq!((of_box.len(), of_wall.len()), (64, 236), "both are there");
-        let looked_for = |slam: &Slam, id: LandmarkId| {
-            let landmark = slam.map.landmark(id).expect("alive");
-            let frame = slam.map.keyframe(third);
-            let seen = slam
-                .map
-                .appearance(landmark, frame, &slam.camera, &slam.scales);
-            [seen.is_some(), slam.map.static_landmark(id).is_some()]
+        let searched_for = |world: &World, id: LandmarkId| {
+            let landmark = world.map.landmark(id).expect("alive");
+            let frame = world.map.keyframe(third);
+            let seen = landmark.appearance(frame, &world.context.camera, &world.context.scales);
+            [seen.is_some(), world.map.static_landmark(id).is_some()]
         };
         let all = of_box.iter().chain(&of_wall);
         assert!(
-            all.clone().all(|id| looked_for(&slam, *id) == [true; 2]),
+            all.clone().all(|id| searched_for(&world, *id) == [true; 2]),
             "before"
         );
-        let changed = slam.label_landmarks(third);
+        let changed = label(&mut world, third);
         let expected: Vec<_> = of_box.iter().map(|id| (*id, Label::Dynamic)).collect();
         assert_eq!(changed, expected, "the whole box and nothing else");
         for id in all {
             let expected = [of_wall.contains(id); 2];
-            assert_eq!(looked_for(&slam, *id), expected, "{id:?}");
+            assert_eq!(searched_for(&world, *id), expected, "{id:?}");
         }
-        assert_eq!(slam.label_landmarks(third), [], "no change the second time");
+        assert_eq!(label(&mut world, third), [], "no change the second time");
     }
 
     #[test]
-    fn it_is_dropped_after_a_whole_window_of_dynamic_runs() {
+    fn landmarks_are_dropped_after_a_whole_window_of_dynamic_runs() {
         let mut config = Config::default();
         config.labels.window.runs = 4;
-        let (mut slam, third, [of_box, of_wall]) = a_box_has_gone(config);
+        let (mut world, third, [of_box, of_wall]) = a_box_that_left(config);
         for run in 1..=4 {
-            slam.label_landmarks(third);
+            label(&mut world, third);
             let left = if run < 4 { of_box.len() } else { 0 };
-            assert_eq!(alive(&slam, &of_box), left, "run {run} of 4");
+            assert_eq!(alive(&world, &of_box), left, "run {run} of 4");
         }
-        assert_eq!(alive(&slam, &of_wall), of_wall.len(), "the wall stays");
-        for keyframe in slam.map.keyframes() {
+        assert_eq!(alive(&world, &of_wall), of_wall.len(), "the wall stays");
+        for keyframe in world.map.keyframes() {
             let linked = keyframe.landmark.iter().flatten().count();
             assert_eq!(linked, of_wall.len(), "no link to what is gone");
         }
     }
 
-    /// It is back before its window is over: static again, and kept.
+    /// The box is back before the window is over.
     #[test]
-    fn what_is_found_at_rest_again_is_static_again() {
+    fn landmarks_found_static_again_are_kept() {
         let mut config = Config::default();
         config.labels.window.runs = 4;
         config.labels.memory_frames = 30;
-        let (mut slam, third, [of_box, _]) = a_box_has_gone(config);
+        let (mut world, third, [of_box, _]) = a_box_that_left(config);
         for _ in 0..3 {
-            slam.label_landmarks(third);
+            label(&mut world, third);
         }
         let depth = wall_behind(BOX_PX);
-        let mut back = frame(&slam, 60, &depth);
-        let first = slam.map.keyframe(KeyframeId(0));
+        let mut back = world.frame(60, &depth);
+        let first = world.map.keyframe(KeyframeId(0));
         back.landmark.clone_from(&first.landmark);
-        let back = keep(&mut slam, back, &depth);
-        slam.forget_witnesses(FrameId(60));
-        let left: Vec<_> = slam.witnesses.keys().copied().collect();
+        let back = world.map.add_keyframe(back);
+        let World { context, map, dynamics, .. } = &mut world;
+        let recorder = &mut Recorder::default();
+        let changed = dynamics.label_keyframe(context, map, back, &depth, None, recorder);
+        let left: Vec<_> = dynamics.free_space.keys().copied().collect();
         assert_eq!(left, [back], "30 frames of memory");
-        let changed = slam.label_landmarks(back);
         let expected: Vec<_> = of_box.iter().map(|id| (*id, Label::Static)).collect();
         assert_eq!(changed, expected, "the box is back");
-        assert_eq!(alive(&slam, &of_box), of_box.len(), "and kept");
+        assert_eq!(alive(&world, &of_box), of_box.len(), "and kept");
     }
 
     /// A landmark that one keyframe alone has seen keeps its label (`crf.unary.min_observations`).
     #[test]
-    fn one_observation_has_no_say() {
-        let (mut slam, third, [of_box, _]) = a_box_has_gone(Config::default());
+    fn one_observation_changes_no_label() {
+        let (mut world, third, [of_box, _]) = a_box_that_left(Config::default());
         for id in &of_box {
-            slam.map.drop_observation(*id, KeyframeId(1));
+            world.map.drop_observation(*id, KeyframeId(1));
         }
-        assert_eq!(slam.label_landmarks(third), [], "seen by one");
+        assert_eq!(label(&mut world, third), [], "seen by one");
     }
 
     #[test]
     fn cues_are_means_over_the_keyframes() {
-        let (mut slam, third, [of_box, of_wall]) = a_box_has_gone(Config::default());
-        let cues = |slam: &Slam, id| {
-            let landmark = slam.map.landmark(id).expect("alive");
-            slam.cues(landmark, &slam.court(FrameId(20)))
+        let (mut world, third, [of_box, of_wall]) = a_box_that_left(Config::default());
+        let cues = |world: &World, id| {
+            let landmark = world.map.landmark(id).expect("alive");
+            let history = world.dynamics.history(&world.context, &world.map, FrameId(20));
+            landmark_cues(&world.context, &world.map, landmark, &history)
         };
-        let [on_box, on_wall] = [of_box[0], of_wall[0]].map(|id| cues(&slam, id));
+        let [on_box, on_wall] = [of_box[0], of_wall[0]].map(|id| cues(&world, id));
         assert_eq!(
             [on_box.observations, on_wall.observations],
             [Some(2), Some(3)],
-            "who sees it"
+            "observations"
         );
         assert_eq!(on_wall.epipolar_px, None, "no baseline, no line");
         assert_eq!(on_wall.depth_residual, Some(0.0), "all agree");
         // 1.5 m in front of 3 m, where σ is 3e-3 z² = 0.027 m.
         let sigmas = on_box.depth_residual.expect("seen through");
         assert!((sigmas - 1.5 / 0.027).abs() < 1e-9, "{sigmas} σ");
-        let observations = &slam.map.landmark(of_wall[0]).expect("alive").observations;
+        let observations = &world.map.landmark(of_wall[0]).expect("alive").observations;
         let (_, i) = *observations.last().expect("three");
-        slam.map.keyframe_mut(third).uv_px[i].x += 3.0;
-        let off = cues(&slam, of_wall[0]).reproj_px.expect("seen");
+        world.map.keyframe_mut(third).uv_px[i].x += 3.0;
+        let off = cues(&world, of_wall[0]).reproj_px.expect("seen");
         assert!((off - 1.0).abs() < 1e-9, "3 px in one of three: {off}");
         // The third camera a metre to the right: epipolar lines are rows.
-        slam.map.keyframe_mut(third).uv_px[i].y += 2.0;
-        let keyframe = slam.map.keyframe_mut(third);
+        world.map.keyframe_mut(third).uv_px[i].y += 2.0;
+        let keyframe = world.map.keyframe_mut(third);
         keyframe.camera_from_world.translation.x = -1.0;
-        let off = cues(&slam, of_wall[0]).epipolar_px.expect("a baseline");
+        let off = cues(&world, of_wall[0]).epipolar_px.expect("a baseline");
         assert!((off - 2.0).abs() < 1e-9, "two rows off: {off}");
         // Aside, ahead and turned, and the keypoint where the landmark is: its line passes through it.
-        let p_world = slam.map.landmark(of_wall[0]).expect("alive").p_world;
+        let p_world = world.map.landmark(of_wall[0]).expect("alive").p_world;
         let pose = Se3::exp(&Vector6::new(-0.5, 0.1, -0.5, 0.02, -0.1, 0.05));
-        let uv = slam.camera.project(&(pose * p_world)).expect("in front");
-        let keyframe = slam.map.keyframe_mut(third);
+        let uv = world.context.camera.project(&(pose * p_world)).expect("in front");
+        let keyframe = world.map.keyframe_mut(third);
         keyframe.camera_from_world = pose;
         keyframe.uv_px[i] = uv;
-        let on = cues(&slam, of_wall[0]).epipolar_px.expect("a baseline");
+        let on = cues(&world, of_wall[0]).epipolar_px.expect("a baseline");
         assert!(on < 1e-9, "{on} px from its line");
     }
 }

@@ -21,8 +21,7 @@ use garad_features::{LkConfig, LkPyramid, LkTrack, lk};
 
 use super::bootstrap::FutureView;
 use super::evidence::DepthEvidence;
-use super::field::FrameView;
-use super::samples::Sample;
+use super::samples::{FrameView, Sample};
 use crate::config::PatchMotionConfig;
 use crate::context::Context;
 use crate::images::{ImageStore, lk_point};
@@ -270,11 +269,10 @@ mod tests {
 
     use super::*;
     use crate::config::Config;
-    use crate::labels::frame::tests::{frame, is_in, keep, slam, texture, wall, wall_behind};
-    use crate::labels::witness::Witness;
-    use crate::opening::Foresight;
+    use crate::dynamics::free_space::FreeSpace;
+    use crate::testing::{World, is_in, texture, wall, wall_behind};
 
-    /// What has gone sideways, and how far in ten frames, px.
+    /// What has moved sideways, and how far in ten frames, px.
     const SHIRT_PX: [[usize; 2]; 2] = [[48, 112], [32, 96]];
     const SWAY_PX: usize = 3;
     /// Samples whose windows lie within the shirt, before and after.
@@ -282,36 +280,38 @@ mod tests {
 
     fn config() -> Config {
         let mut config = Config::default();
-        config.labels.displacement.enabled = true;
+        config.labels.patch_motion.enabled = true;
         config
     }
 
-    /// The texture with the shirt gone to the left by so much.
+    /// The texture with the shirt moved to the left by this much.
     fn swayed(by_px: usize) -> LkPyramid {
         let texture = texture();
-        let picture = GrayImage::from_fn(160, 120, |x, y| match is_in(SHIRT_PX, x, y) {
+        let image = GrayImage::from_fn(160, 120, |x, y| match is_in(SHIRT_PX, x, y) {
             true => texture[(x + by_px, y)],
             false => texture[(x, y)],
         });
-        LkPyramid::new(&picture, LEVELS).expect("a picture")
+        LkPyramid::new(&image, 3).expect("an image")
     }
 
-    /// A camera at rest before a wall, whose depth says nothing of what is painted on it: pictures of
-    /// these frames, with the shirt so far to the left.
-    fn slam_that_saw(pictures: &[(u32, usize)], config: Config) -> Slam {
-        let mut slam = slam(config);
-        for (id, by_px) in pictures {
-            let seen = frame(&slam, *id, &wall());
-            let keyframe = keep(&mut slam, seen, &wall());
-            slam.pyramids.insert(keyframe, Arc::new(swayed(*by_px)));
+    /// A camera at rest before a wall, whose depth does not depend on what is painted on it: images of
+    /// these frames, with the shirt this far to the left.
+    fn world_that_saw(images: &[(u32, usize)], config: Config) -> World {
+        let mut world = World::new(config);
+        for (id, by_px) in images {
+            let seen = world.frame(*id, &wall());
+            let keyframe = world.keep(seen, &wall());
+            let World { images, map, context, .. } = &mut world;
+            images.insert(keyframe, Some(Arc::new(swayed(*by_px))), map, &context.config);
         }
-        slam
+        world
     }
 
-    /// Residuals of every fourth pixel of frame 40, in units of σ, after a witness that agrees
-    /// everywhere: those of the shirt, and those whose windows do not touch it.
-    fn residuals(slam: &Slam, depth: &DepthImage, picture: &LkPyramid) -> [Vec<f64>; 2] {
-        let now = frame(slam, 40, depth);
+    /// Residuals of every fourth pixel of frame 40, in units of σ, where free space finds everything
+    /// static: those of the shirt, and those whose windows do not touch it.
+    fn residuals(world: &World, depth: &DepthImage, pyramid: &LkPyramid) -> [Vec<f64>; 2] {
+        let World { context, map, images, dynamics } = world;
+        let now = world.frame(40, depth);
         let columns = (4..156usize).step_by(4);
         let places = columns.flat_map(|x| (4..116usize).step_by(4).map(move |y| (x, y)));
         let places: Vec<(usize, usize)> = places.collect();
@@ -320,7 +320,7 @@ mod tests {
             .map(|&(x, y)| {
                 let px = Vector2::new(x as f64, y as f64);
                 let depth_m = f64::from(depth[(x, y)]);
-                let p_world: Vector3<f64> = slam.camera.unproject(&px, depth_m);
+                let p_world: Vector3<f64> = context.camera.unproject(&px, depth_m);
                 Sample {
                     px,
                     depth_m,
@@ -328,16 +328,22 @@ mod tests {
                 }
             })
             .collect();
-        let agreed = Verdict {
+        let on_surface = DepthEvidence {
             residual: Some(0.0),
-            agreed_for: 40,
+            agreed_frames: 40,
         };
-        let mut verdicts = vec![agreed; samples.len()];
-        slam.hear_displacements(&now, depth, picture, &samples, &mut verdicts);
+        let mut evidence = vec![on_surface; samples.len()];
+        let references = reference_images(context, map, images, &dynamics.future, now.id);
+        let view = FrameView {
+            frame: &now,
+            depth,
+            pyramid: Some(pyramid),
+        };
+        add_patch_motion(context, view, pyramid, &references, &samples, &mut evidence);
         let of = |is: &dyn Fn(usize, usize) -> bool| {
-            let both = places.iter().zip(&verdicts);
+            let both = places.iter().zip(&evidence);
             both.filter(|((x, y), _)| is(*x, *y))
-                .filter_map(|(_, v)| v.residual)
+                .filter_map(|(_, e)| e.residual)
                 .collect::<Vec<_>>()
         };
         let near = [[34, 126], [18, 110]];
@@ -352,9 +358,9 @@ mod tests {
     }
 
     #[test]
-    fn a_shirt_that_sways_is_seen_though_depth_agrees() {
-        let slam = slam_that_saw(&[(10, 0), (20, 0), (30, 0)], config());
-        let [shirt, wall_around] = residuals(&slam, &wall(), &swayed(SWAY_PX));
+    fn a_swaying_shirt_is_found_though_depth_agrees() {
+        let world = world_that_saw(&[(10, 0), (20, 0), (30, 0)], config());
+        let [shirt, wall_around] = residuals(&world, &wall(), &swayed(SWAY_PX));
         assert!(shirt.len() >= 49 && wall_around.len() > 300, "samples");
         // 3 px are 6 units of 0.5 px.
         for residual in shirt {
@@ -364,10 +370,10 @@ mod tests {
     }
 
     #[test]
-    fn one_picture_alone_is_not_believed_against_two() {
-        let shirt_of = |pictures: [(u32, usize); 3]| {
-            let slam = slam_that_saw(&pictures, config());
-            let [shirt, _] = residuals(&slam, &wall(), &swayed(SWAY_PX));
+    fn one_image_against_two_does_not_count() {
+        let shirt_of = |images: [(u32, usize); 3]| {
+            let world = world_that_saw(&images, config());
+            let [shirt, _] = residuals(&world, &wall(), &swayed(SWAY_PX));
             largest(&shirt)
         };
         assert!(shirt_of([(10, 0), (20, 3), (30, 3)]) <= 0.0, "one of three");
@@ -375,76 +381,76 @@ mod tests {
     }
 
     #[test]
-    fn pictures_too_young_or_too_old_are_not_asked() {
-        let slam = slam_that_saw(&[(4, 0), (36, 0)], config());
-        let [shirt, _] = residuals(&slam, &wall(), &swayed(SWAY_PX));
+    fn images_too_young_or_too_old_are_not_compared() {
+        let world = world_that_saw(&[(4, 0), (36, 0)], config());
+        let [shirt, _] = residuals(&world, &wall(), &swayed(SWAY_PX));
         assert!(largest(&shirt) <= 0.0, "36 and 4 frames old");
-        let slam = slam_that_saw(&[(5, 0)], config());
-        let [shirt, _] = residuals(&slam, &wall(), &swayed(SWAY_PX));
+        let world = world_that_saw(&[(5, 0)], config());
+        let [shirt, _] = residuals(&world, &wall(), &swayed(SWAY_PX));
         assert!(largest(&shirt) > 5.0, "35 frames: within half a step of 30");
     }
 
-    /// A picture yet to come is one more that is asked.
+    /// A future view is one more reference.
     #[test]
-    fn what_is_foreseen_is_asked() {
-        let mut slam = slam_that_saw(&[], config());
-        slam.foresight.push(Foresight {
+    fn future_views_are_references() {
+        let mut world = world_that_saw(&[], config());
+        world.dynamics.future.push(FutureView {
             frame: FrameId(49),
-            witness: Witness::new(&wall(), 8.0),
-            picture: Some(swayed(0)),
+            free_space: FreeSpace::new(&wall(), 8.0),
+            pyramid: Some(swayed(0)),
             camera_from_world: Se3::identity(),
         });
-        let [shirt, _] = residuals(&slam, &wall(), &swayed(SWAY_PX));
+        let [shirt, _] = residuals(&world, &wall(), &swayed(SWAY_PX));
         assert!(largest(&shirt) > 5.0, "9 frames ahead");
-        slam.foresight[0].frame = FrameId(42);
-        let [shirt, _] = residuals(&slam, &wall(), &swayed(SWAY_PX));
+        world.dynamics.future[0].frame = FrameId(42);
+        let [shirt, _] = residuals(&world, &wall(), &swayed(SWAY_PX));
         assert!(largest(&shirt) <= 0.0, "2 frames ahead is too near");
     }
 
-    /// The camera has gone 5 cm to the right: with fx = 120 px, a wall at 3 m has gone 2 px to the left.
+    /// The camera has moved 5 cm to the right: with fx = 120 px, a wall at 3 m moves 2 px to the left.
     #[test]
-    fn what_the_camera_does_is_no_displacement() {
-        let mut slam = slam_that_saw(&[(10, 0), (20, 0), (30, 0)], config());
+    fn camera_motion_is_no_displacement() {
+        let mut world = world_that_saw(&[(10, 0), (20, 0), (30, 0)], config());
         let now_from_then = Se3::exp(&[-0.05, 0.0, 0.0, 0.0, 0.0, 0.0].into());
-        for k in slam.pyramids.keys().copied().collect::<Vec<_>>() {
-            slam.map.keyframe_mut(k).camera_from_world = now_from_then.inverse();
+        for k in world.images.keyframes().collect::<Vec<_>>() {
+            world.map.keyframe_mut(k).camera_from_world = now_from_then.inverse();
         }
-        let all = residuals(&slam, &wall(), &passed(2)).concat();
+        let all = residuals(&world, &wall(), &passed(2)).concat();
         assert!(largest(&all) <= 0.0, "as predicted");
-        let [shirt, around] = residuals(&slam, &wall(), &passed(0));
+        let [shirt, around] = residuals(&world, &wall(), &passed(0));
         let least = shirt.into_iter().fold(f64::INFINITY, f64::min);
-        assert!(least > 3.5, "who has kept up with the camera: {least}");
+        assert!(least > 3.5, "what moved with the camera: {least}");
         assert!(largest(&around) <= 0.0, "the wall has not");
     }
 
-    /// The texture gone to the left by 2 px, the shirt by so much.
+    /// The texture moved to the left by 2 px, the shirt by this much.
     fn passed(shirt_px: usize) -> LkPyramid {
         let texture = texture();
-        let picture = GrayImage::from_fn(160, 120, |x, y| match is_in(SHIRT_PX, x, y) {
+        let image = GrayImage::from_fn(160, 120, |x, y| match is_in(SHIRT_PX, x, y) {
             true => texture[(x + shirt_px, y)],
             false => texture[((x + 2).min(159), y)],
         });
-        LkPyramid::new(&picture, LEVELS).expect("a picture")
+        LkPyramid::new(&image, 3).expect("an image")
     }
 
     #[test]
-    fn nothing_is_said_of_plain_cloth_beside_edges_or_if_switched_off() {
-        let pictures = [(10, 0), (20, 0), (30, 0)];
-        let slam = slam_that_saw(&pictures, config());
-        let plain = LkPyramid::new(&GrayImage::new(160, 120, 90), LEVELS).expect("a picture");
-        let [shirt, _] = residuals(&slam, &wall(), &plain);
+    fn no_residual_on_plain_cloth_beside_edges_or_if_switched_off() {
+        let images = [(10, 0), (20, 0), (30, 0)];
+        let world = world_that_saw(&images, config());
+        let plain = LkPyramid::new(&GrayImage::new(160, 120, 90), 3).expect("an image");
+        let [shirt, _] = residuals(&world, &wall(), &plain);
         assert!(largest(&shirt) <= 0.0, "plain");
         // Something half as far in the middle of the shirt reaches into all its windows.
         let before = wall_behind([[80, 88], [60, 68]]);
-        let [beside, _] = residuals(&slam, &before, &swayed(SWAY_PX));
+        let [beside, _] = residuals(&world, &before, &swayed(SWAY_PX));
         let said = beside.iter().filter(|r| **r > 0.0).count();
-        let [all, _] = residuals(&slam, &wall(), &swayed(SWAY_PX));
+        let [all, _] = residuals(&world, &wall(), &swayed(SWAY_PX));
         assert!(
             2 * said < all.len(),
             "{said} of {} beside an edge",
             all.len()
         );
-        let off = slam_that_saw(&pictures, Config::default());
+        let off = world_that_saw(&images, Config::default());
         let [shirt, _] = residuals(&off, &wall(), &swayed(SWAY_PX));
         assert!(largest(&shirt) <= 0.0, "off");
     }

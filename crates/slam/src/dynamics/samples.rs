@@ -1,10 +1,19 @@
 //! [`Sample`]: the nodes of a frame's field, keypoints with depth and a lattice of pixels.
 
 use garad_core::{Camera, DepthImage};
+use garad_features::LkPyramid;
 use nalgebra::{Vector2, Vector3};
 
 use crate::context::Context;
 use crate::frame::Frame;
+
+/// A frame to be labelled, and its images.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct FrameView<'a> {
+    pub(crate) frame: &'a Frame,
+    pub(crate) depth: &'a DepthImage,
+    pub(crate) pyramid: Option<&'a LkPyramid>,
+}
 
 /// One sample in the field.
 #[derive(Debug, Clone, Copy)]
@@ -99,3 +108,28 @@ impl Lattice {
     }
 }
 
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::testing::{World, wall};
+
+    #[test]
+    fn samples_search_beside_a_hole() {
+        let lattice = Lattice::new(&World::new(Config::default()).context.camera, 16);
+        let mut depth = wall();
+        for (x, y) in [(8, 8), (9, 8), (7, 8), (8, 9)] {
+            depth[(x, y)] = 0.0;
+        }
+        for y in 0..16 {
+            depth.row_mut(y)[16..48].fill(0.0);
+        }
+        depth[(40, 8)] = 8.5;
+        let samples = lattice.depths(&depth, 8.0);
+        assert_eq!(samples.len(), 80, "10 x 8");
+        assert_eq!(samples[0], Some(([8, 7], 3.0)), "above the hole");
+        assert_eq!(samples[1], None, "nothing in reach");
+        assert_eq!(samples[2], None, "too far");
+        assert_eq!(samples[3], Some(([56, 8], 3.0)), "the middle of its block");
+    }
+}

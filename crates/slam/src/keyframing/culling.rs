@@ -74,150 +74,131 @@ fn is_redundant(map: &Map, id: KeyframeId, close_m: f64, config: &CullingConfig)
 
 #[cfg(test)]
 mod tests {
-    use garad_core::{Camera, DepthImage, FrameId, LandmarkId, Par, Se3};
-    use garad_features::{Descriptor, Keypoint};
+    use garad_core::{Camera, DepthImage, LandmarkId, Se3};
     use nalgebra::{Vector3, Vector6};
 
     use super::*;
     use crate::config::Config;
-    use crate::frame::{Frame, Levels};
-    use crate::loop_closing::LoopClosure;
+    use crate::testing::{World, keypoints};
 
     const SIZE: (usize, usize) = (128, 96);
     const POINTS: u8 = 10;
 
-    /// So many keyframes a centimetre apart; the first makes ten landmarks 2 m ahead, and keyframe k sees
+    /// Keyframes a centimetre apart; the first makes ten landmarks 2 m ahead, and keyframe k observes
     /// those that `sees(k, i)` gives a level.
-    fn slam(keyframes: u32, sees: impl Fn(u32, u8) -> Option<u8>) -> Slam {
+    fn world(keyframes: u32, sees: impl Fn(u32, u8) -> Option<u8>) -> World {
         let camera = Camera::pinhole(SIZE, [100.0, 100.0, 63.5, 47.5]).expect("valid camera");
-        let config = Config::default();
-        let mut slam = Slam::new(camera, config.clone(), 0, Par::Seq).expect("valid");
+        let mut world = World::with_camera(camera, Config::default());
         let depth = DepthImage::new(SIZE.0, SIZE.1, 2.0);
-        let levels = Levels::new(SIZE, 1.2, 8, true);
         for k in 0..keyframes {
-            let keypoint = |i: u8| Keypoint {
-                x: 20.0 + 8.0 * f32::from(i),
-                y: 40.0,
-                level: sees(k, i).unwrap_or(0),
-                angle_deg: 0.0,
-                response: 1.0,
-            };
-            let keypoints: Vec<_> = (0..POINTS).map(keypoint).collect();
-            let descriptors = vec![Descriptor::default(); usize::from(POINTS)];
-            let (id, t_s) = (FrameId(k), f64::from(k));
-            let mut frame = Frame::new(
-                id,
-                t_s,
-                keypoints,
-                descriptors,
-                &depth,
-                None,
-                &camera,
-                &levels,
-                &config,
-            );
+            let mut points = keypoints((0..POINTS).map(|i| [20 + 8 * usize::from(i), 40]));
+            for (i, point) in (0..POINTS).zip(&mut points) {
+                point.level = sees(k, i).unwrap_or(0);
+            }
+            let mut frame = world.frame_of(k, &points, &depth);
             frame.camera_from_world = at(0.01 * f64::from(k));
-            let id = slam.map.add_keyframe(frame);
+            let World { map, context, .. } = &mut world;
+            let id = map.add_keyframe(frame);
             for i in 0..POINTS {
-                let scales = slam.scales.clone();
                 let (point, landmark) = (usize::from(i), LandmarkId(u32::from(i)));
                 if k == 0 {
                     let p_world = Vector3::new(0.1 * f64::from(i), 0.0, 2.0);
-                    slam.map.add_landmark(p_world, id, point, &scales);
+                    map.add_landmark(p_world, id, point, &context.scales);
                 } else if sees(k, i).is_some() {
-                    slam.map.add_observation(landmark, id, point);
+                    map.add_observation(landmark, id, point);
                 }
             }
         }
-        slam
+        world
     }
 
     fn at(x_m: f64) -> Se3 {
         Se3::exp(&Vector6::new(-x_m, 0.0, 0.0, 0.0, 0.0, 0.0))
     }
 
-    fn redundant(slam: &Slam, id: u32) -> bool {
+    fn redundant(world: &World, id: u32) -> bool {
         let config = CullingConfig::default();
-        is_redundant(&slam.map, KeyframeId(id), 6.0, &config)
+        is_redundant(&world.map, KeyframeId(id), 6.0, &config)
     }
 
     #[test]
     fn nine_of_ten_landmarks_seen_by_three_others() {
-        assert!(redundant(&slam(4, |_, _| Some(0)), 1), "all ten");
+        assert!(redundant(&world(4, |_, _| Some(0)), 1), "all ten");
         assert!(
-            !redundant(&slam(3, |_, _| Some(0)), 1),
+            !redundant(&world(3, |_, _| Some(0)), 1),
             "two others are too few"
         );
         // Keyframe 3 misses the last n points, which then have two others.
-        let missing = |n: u8| slam(4, move |k, i| (k != 3 || i < POINTS - n).then_some(0));
+        let missing = |n: u8| world(4, move |k, i| (k != 3 || i < POINTS - n).then_some(0));
         assert!(redundant(&missing(1), 1), "nine of ten");
         assert!(!redundant(&missing(2), 1), "eight of ten");
     }
 
     #[test]
     fn coarser_looks_and_far_points_do_not_count() {
-        let third = |level: u8| slam(4, move |k, _| Some(if k == 3 { level } else { 0 }));
+        let third = |level: u8| world(4, move |k, _| Some(if k == 3 { level } else { 0 }));
         assert!(redundant(&third(1), 1), "a level coarser");
         assert!(!redundant(&third(2), 1), "two levels coarser");
-        let slam = slam(4, |_, _| Some(0));
+        let world = world(4, |_, _| Some(0));
         let config = CullingConfig::default();
         assert!(
-            !is_redundant(&slam.map, KeyframeId(1), 2.0, &config),
+            !is_redundant(&world.map, KeyframeId(1), 2.0, &config),
             "all are 2 m away: none is nearer"
         );
     }
 
     #[test]
-    fn a_culled_keyframe_follows_the_one_that_holds_it() {
-        let mut slam = slam(5, |_, _| Some(0));
-        let scales = slam.scales.clone();
+    fn a_culled_keyframe_follows_the_one_it_is_tied_to() {
+        let mut world = world(5, |_, _| Some(0));
+        let scales = world.context.scales.clone();
         let id = KeyframeId;
-        assert!(slam.map.cull(id(1), &scales), "there is one to hold it");
-        assert!(slam.map.is_culled(id(1)), "and it is gone");
-        assert!(slam.map.keyframe(id(1)).is_empty(), "with its features");
-        let left: Vec<_> = slam.map.kept_ids().collect();
+        assert!(world.map.cull(id(1), &scales), "there is one to tie it to");
+        assert!(world.map.is_culled(id(1)), "and it is culled");
+        assert!(world.map.keyframe(id(1)).is_empty(), "with its features");
+        let left: Vec<_> = world.map.kept_ids().collect();
         assert_eq!(left, [0, 2, 3, 4].map(KeyframeId), "the others");
-        let landmark = slam.map.landmark(LandmarkId(0)).expect("seen by others");
+        let landmark = world.map.landmark(LandmarkId(0)).expect("seen by others");
         assert!(
             landmark.observations.iter().all(|(k, _)| *k != id(1)),
-            "nobody refers to it"
+            "no observation of it"
         );
-        // Keyframe 4, the youngest of equals, holds it; then 4 goes, and 3 holds both.
-        assert!(slam.map.cull(id(4), &scales), "as well");
+        // It is tied to keyframe 4, the youngest of equals; then 4 is culled, and both are tied to 3.
+        assert!(world.map.cull(id(4), &scales), "as well");
         let motion = Se3::exp(&Vector6::new(0.3, 0.0, 0.1, 0.0, 0.2, 0.0));
-        let before = [1, 3, 4].map(|k| slam.map.keyframe(id(k)).camera_from_world);
-        slam.map.keyframe_mut(id(3)).camera_from_world = before[1] * motion;
-        slam.map.follow_anchors();
+        let before = [1, 3, 4].map(|k| world.map.keyframe(id(k)).camera_from_world);
+        world.map.keyframe_mut(id(3)).camera_from_world = before[1] * motion;
+        world.map.follow_anchors();
         for (k, before) in [1, 3, 4].into_iter().zip(before) {
-            let now = slam.map.keyframe(id(k)).camera_from_world;
+            let now = world.map.keyframe(id(k)).camera_from_world;
             let off = (now * (before * motion).inverse()).log().norm();
             assert!(off < 1e-14, "keyframe {k}: the world has moved: {off}");
         }
     }
 
     #[test]
-    fn a_landmark_that_nobody_else_sees_goes_too() {
-        let mut slam = slam(2, |k, i| (k == 0 || i > 0).then_some(0));
-        let scales = slam.scales.clone();
-        assert!(slam.map.cull(KeyframeId(0), &scales), "held by the second");
-        let count = slam.map.landmarks().count();
+    fn a_landmark_of_a_culled_keyframe_alone_is_dropped() {
+        let mut world = world(2, |k, i| (k == 0 || i > 0).then_some(0));
+        let scales = world.context.scales.clone();
+        assert!(world.map.cull(KeyframeId(0), &scales), "tied to the second");
+        let count = world.map.landmarks().count();
         assert_eq!(count, usize::from(POINTS) - 1, "the first one had no other");
-        let mut alone = self::slam(1, |_, _| Some(0));
-        assert!(!alone.map.cull(KeyframeId(0), &scales), "nothing holds it");
+        let mut alone = self::world(1, |_, _| Some(0));
+        assert!(!alone.map.cull(KeyframeId(0), &scales), "nothing to tie it to");
         assert!(!alone.map.is_culled(KeyframeId(0)), "so it stays");
     }
 
     #[test]
     fn the_first_the_youngest_and_ends_of_loops_stay() {
-        let mut slam = slam(20, |_, _| Some(0));
-        slam.loops.remember(LoopClosure {
+        let mut world = world(20, |_, _| Some(0));
+        let closed = [LoopClosure {
             keyframe: KeyframeId(5),
             older: KeyframeId(2),
             inliers: 50,
             drift_m: 0.1,
-        });
-        slam.cull_keyframes(KeyframeId(19));
-        let left: Vec<_> = slam.map.kept_ids().map(|k| k.0).collect();
+        }];
+        let culled = cull_keyframes(&world.context, &mut world.map, &closed, KeyframeId(19));
+        assert_eq!(culled.len(), 7, "of twenty");
+        let left: Vec<_> = world.map.kept_ids().map(|k| k.0).collect();
         assert_eq!(
             left,
             [0, 2, 5, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19],

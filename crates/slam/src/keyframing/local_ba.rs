@@ -125,35 +125,37 @@ pub(crate) fn adjust(
 mod tests {
     use super::*;
     use crate::config::Config;
-    use crate::labels::frame::tests::{frame, slam, wall};
+    use crate::testing::{World, wall};
 
-    /// Three keyframes at the same place see 300 points of a wall; the last of them puts one 30 px beside where it is.
+    /// Three keyframes at the same place observe 300 points of a wall; the last of them sees one 30 px off.
     #[test]
-    fn what_disagrees_is_no_longer_seen() {
-        let mut slam = slam(Config::default());
+    fn outlier_observations_are_removed() {
+        let mut world = World::new(Config::default());
         let depth = wall();
-        let first = slam.map.add_keyframe(frame(&slam, 0, &depth));
+        let first = world.frame(0, &depth);
+        let first = world.map.add_keyframe(first);
         let made: Vec<_> = (0..300)
             .map(|i| {
-                let p_world = slam.map.keyframe(first).world_point(i, &slam.camera);
+                let p_world = world.map.keyframe(first).world_point(i, &world.context.camera);
                 let p_world = p_world.expect("on the wall");
-                slam.map.add_landmark(p_world, first, i, &slam.scales)
+                world.map.add_landmark(p_world, first, i, &world.context.scales)
             })
             .collect();
         for id in [20, 40] {
-            let mut seen = frame(&slam, id, &depth);
+            let mut seen = world.frame(id, &depth);
             seen.landmark = made.iter().copied().map(Some).collect();
-            slam.map.add_keyframe(seen);
+            world.map.add_keyframe(seen);
         }
         let newest = KeyframeId(2);
-        slam.map.keyframe_mut(newest).uv_px[7].y += 30.0;
-        slam.local_ba(newest);
+        world.map.keyframe_mut(newest).uv_px[7].y += 30.0;
+        let World { context, map, .. } = &mut world;
+        local_ba(context, map, newest, &mut Recorder::default());
         for (i, id) in made.iter().enumerate() {
-            let landmark = slam.map.landmark(*id).expect("seen by two at least");
+            let landmark = world.map.landmark(*id).expect("seen by two at least");
             let by: Vec<_> = landmark.observations.iter().map(|(k, _)| k.0).collect();
             let expected: &[u32] = if i == 7 { &[0, 1] } else { &[0, 1, 2] };
             assert_eq!(by, expected, "landmark {i}");
-            let linked = slam.map.keyframe(newest).landmark[i];
+            let linked = world.map.keyframe(newest).landmark[i];
             assert_eq!(linked, (i != 7).then_some(*id), "keypoint {i}");
         }
     }

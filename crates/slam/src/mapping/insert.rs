@@ -215,7 +215,11 @@ fn explained(rendered: &Rendered<f32>, uv: &Vector2<f64>, z: f64, config: &Inser
 
 #[cfg(test)]
 mod tests {
+    use garad_core::{Camera, DepthImage, FrameId, KeyframeId, MaskImage, Par, RgbImage};
+
     use super::*;
+    use crate::config::Config;
+    use crate::mapping::job::NewLandmark;
 
     fn wall(z: f32) -> (RgbImage, DepthImage) {
         (
@@ -224,28 +228,40 @@ mod tests {
         )
     }
 
-    fn seed(map: &mut GaussianMap, z: f32, mask: Option<&MaskImage>) -> usize {
+    fn context() -> Context {
         let camera = Camera::pinhole((64, 48), [60.0, 60.0, 31.5, 23.5]).expect("valid");
+        Context::new(camera, Config::default(), 0, Par::Seq).expect("valid")
+    }
+
+    /// A keyframe in front of a wall.
+    fn job(keyframe: u32, z: f32, mask: Option<MaskImage>) -> MappingJob {
         let (rgb, depth) = wall(z);
-        let picture = Picture {
-            rgb: &rgb,
-            depth: &depth,
+        MappingJob {
+            keyframe: KeyframeId(keyframe),
+            frame: FrameId(0),
+            rgb,
+            depth,
             mask,
-        };
-        seed_from_depth(
-            map,
-            &picture,
-            &camera,
-            &Se3::identity(),
-            KeyframeId(0),
-            &SeedConfig::default(),
-            8.0,
-            Par::Seq,
-        )
+            cells: None,
+            labels: Vec::new(),
+            poses: Vec::new(),
+            moved: Vec::new(),
+            new_landmarks: Vec::new(),
+            living: Vec::new(),
+            iterations: 0,
+        }
+    }
+
+    /// Inserts depth samples; returns how many.
+    fn seed(map: &mut GaussianMap, z: f32, mask: Option<&MaskImage>) -> usize {
+        let before = map.len();
+        let job = job(0, z, mask.cloned());
+        insert_depth_samples(&context(), map, &job, &Se3::identity()).expect("rendered");
+        map.len() - before
     }
 
     #[test]
-    fn a_wall_is_seeded_once() {
+    fn a_wall_gets_its_gaussians_once() {
         let mut map = GaussianMap::new(0);
         assert_eq!(seed(&mut map, 2.0, None), 16 * 12, "one per 4 x 4 pixels");
         map.validate().expect("finite");
@@ -260,25 +276,18 @@ mod tests {
     #[test]
     fn a_landmark_brings_its_own_gaussian() {
         let mut map = GaussianMap::new(0);
-        let camera = Camera::pinhole((64, 48), [60.0, 60.0, 31.5, 23.5]).expect("valid");
-        let rgb = RgbImage::from_fn(64, 48, |x, _| [u8::try_from(x).expect("small"), 0, 255]);
         let landmark = |px| NewLandmark {
             id: LandmarkId(7),
             p_world: Vector3::new(0.1, 0.0, 3.0),
             px,
         };
-        let config = SeedConfig::default();
-        let landmarks = [landmark([51, 20]), landmark([64, 20])];
-        insert_landmarks(
-            &mut map,
-            &landmarks,
-            &rgb,
-            &camera,
-            &Se3::identity(),
-            KeyframeId(1),
-            &config,
-        );
-        assert_eq!(map.len(), 1, "one lies beside the picture");
+        let job = MappingJob {
+            rgb: RgbImage::from_fn(64, 48, |x, _| [u8::try_from(x).expect("small"), 0, 255]),
+            new_landmarks: vec![landmark([51, 20]), landmark([64, 20])],
+            ..job(1, 3.0, None)
+        };
+        insert_landmarks(&context(), &mut map, &job, &Se3::identity());
+        assert_eq!(map.len(), 1, "one lies outside the image");
         assert_eq!(map.landmark, [Some(LandmarkId(7))], "tagged with it");
         let color = garad_core::sh::color(0, map.sh_of(0), [0.0, 0.0, 1.0]);
         assert!((color[0] - 0.2).abs() < 1e-6, "51 of 255: {color:?}");
@@ -306,11 +315,13 @@ mod tests {
 
     /// The landmarks are at z = 2 m, where the stride of 4 px is 0.133 m.
     fn tag(map: &mut GaussianMap, landmarks: &[NewLandmark]) -> usize {
-        let camera = Camera::pinhole((64, 48), [60.0, 60.0, 31.5, 23.5]).expect("valid");
-        let (rgb, _) = wall(2.0);
-        let (pose, config) = (Se3::identity(), SeedConfig::default());
-        let born = KeyframeId(5);
-        insert_landmarks(map, landmarks, &rgb, &camera, &pose, born, &config)
+        let before = map.len();
+        let job = MappingJob {
+            new_landmarks: landmarks.to_vec(),
+            ..job(5, 2.0, None)
+        };
+        insert_landmarks(&context(), map, &job, &Se3::identity());
+        map.len() - before
     }
 
     fn tags(map: &GaussianMap) -> Vec<Option<u32>> {
@@ -336,7 +347,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_far_behind_or_moves_is_not_the_place() {
+    fn gaussians_far_behind_or_dynamic_are_not_of_the_place() {
         let alone = |p: [f64; 3]| -> usize {
             let mut map = GaussianMap::new(0);
             tag(&mut map, &[landmark(0, p)]);

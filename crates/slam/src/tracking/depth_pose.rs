@@ -243,83 +243,67 @@ impl Problem<6> for DepthPoseProblem<'_> {
 
 #[cfg(test)]
 mod tests {
-    use garad_core::{Camera, DepthImage, FrameId, Par};
-    use garad_features::{Descriptor, Keypoint};
+    use garad_core::{Camera, DepthImage};
     use nalgebra::Vector2;
 
     use super::*;
     use crate::config::Config;
-    use crate::frame::Levels;
+    use crate::testing::{World, keypoints};
 
     const SIZE: (usize, usize) = (640, 480);
-    /// Distances of a wall and of somebody before it, and the camera's step, metres.
+    /// Distances of a wall and of a body in front of it, and the camera's step, metres.
     const WALL_M: f32 = 3.0;
     const BODY_M: f32 = 1.5;
     const STEP_M: f64 = 0.025;
 
-    fn slam(config: Config) -> Slam {
+    fn world(config: Config) -> World {
         let camera = Camera::pinhole(SIZE, [525.0, 525.0, 319.5, 239.5]).expect("valid");
-        Slam::new(camera, config, 0, Par::Seq).expect("valid")
+        World::with_camera(camera, config)
     }
 
     /// Every 32nd pixel each way: 20 columns of 15 keypoints.
-    fn frame(slam: &Slam, id: u32, depth: &DepthImage) -> Frame {
-        let places = (0..300u16).map(|i| (32 * (i % 20) + 16, 32 * (i / 20) + 16));
-        let keypoints: Vec<Keypoint> = places
-            .map(|(x, y)| Keypoint {
-                x: f32::from(x),
-                y: f32::from(y),
-                level: 0,
-                angle_deg: 0.0,
-                response: 1.0,
-            })
-            .collect();
-        let descriptors = vec![Descriptor::default(); keypoints.len()];
-        let levels = Levels::new(SIZE, 1.2, 8, true);
-        let (camera, config) = (&slam.camera, &slam.config);
-        let t_s = f64::from(id) / 30.0;
-        let id = FrameId(id);
-        Frame::new(
-            id,
-            t_s,
-            keypoints,
-            descriptors,
-            depth,
-            None,
-            camera,
-            &levels,
-            config,
-        )
+    fn frame(world: &World, id: u32, depth: &DepthImage) -> Frame {
+        let places = (0..300).map(|i| [32 * (i % 20) + 16, 32 * (i / 20) + 16]);
+        world.frame_of(id, &keypoints(places), depth)
     }
 
     fn is_body(x_px: f64) -> bool {
         (256.0..416.0).contains(&x_px)
     }
 
-    /// A room as a keyframe saw it, and a frame whose camera has gone to the right. Somebody before
-    /// the wall has gone with it and fills the same pixels as before: a quarter of the picture.
-    fn in_step(config: Config) -> (Slam, Frame, Se3) {
-        let mut slam = slam(config);
+    /// A room as a keyframe saw it, and a frame whose camera has moved to the right. A body in front of
+    /// the wall has moved with it and fills the same pixels as before: a quarter of the image.
+    fn in_step(config: Config) -> (World, Frame, Se3) {
+        let mut world = world(config);
         let depth = DepthImage::from_fn(SIZE.0, SIZE.1, |x, _| match is_body(x as f64) {
             true => BODY_M,
             false => WALL_M,
         });
-        let keyframe = frame(&slam, 0, &depth);
-        let id = slam.map.add_keyframe(keyframe.clone());
-        let mut now = frame(&slam, 1, &depth);
+        let keyframe = frame(&world, 0, &depth);
+        let id = world.map.add_keyframe(keyframe.clone());
+        let mut now = frame(&world, 1, &depth);
         for i in 0..now.len() {
-            let Some(p_world) = keyframe.world_point(i, &slam.camera) else {
+            let Some(p_world) = keyframe.world_point(i, &world.context.camera) else {
                 continue;
             };
-            let landmark = slam.map.add_landmark(p_world, id, i, &slam.scales);
+            let landmark = world.map.add_landmark(p_world, id, i, &world.context.scales);
             now.landmark[i] = Some(landmark);
             if !is_body(now.px[i].x) {
-                let shift_px = slam.camera.fx * STEP_M / f64::from(WALL_M);
+                let shift_px = world.context.camera.fx * STEP_M / f64::from(WALL_M);
                 now.uv_px[i] -= Vector2::new(shift_px, 0.0);
             }
         }
         let truth = Se3::exp(&[-STEP_M, 0.0, 0.0, 0.0, 0.0, 0.0].into());
-        (slam, now, truth)
+        (world, now, truth)
+    }
+
+    fn by_links(world: &World, frame: &mut Frame) -> usize {
+        pose_from_links(&world.context, &world.map, frame, &mut Recorder::default())
+    }
+
+    fn refined(world: &World, frame: &mut Frame, min_share: f64) -> usize {
+        let recorder = &mut Recorder::default();
+        refine_pose_with_depth(&world.context, &world.map, frame, min_share, recorder)
     }
 
     fn error_m(pose: &Se3, truth: &Se3) -> f64 {
@@ -327,13 +311,13 @@ mod tests {
     }
 
     #[test]
-    fn depth_tells_a_step_to_the_side_from_a_turn() {
-        let (slam, start, truth) = in_step(Config::default());
+    fn depth_separates_a_step_to_the_side_from_a_rotation() {
+        let (world, start, truth) = in_step(Config::default());
         let mut by_keypoints = start.clone();
-        slam.optimise(&mut by_keypoints);
+        by_links(&world, &mut by_keypoints);
         let misled = error_m(&by_keypoints.camera_from_world, &truth);
         let mut agreed = start.clone();
-        let inliers = slam.agree(&mut agreed, LEAST_AT_FIRST);
+        let inliers = refined(&world, &mut agreed, MIN_SHARE_UNLABELLED);
         let right = error_m(&agreed.camera_from_world, &truth);
         assert!(misled > 0.02, "keypoints alone follow the body: {misled} m");
         assert!(right < 0.001, "with depth: {right} m, {inliers} inliers");
@@ -344,40 +328,40 @@ mod tests {
 
     /// Of 300 links 225 fit the right pose: three quarters.
     #[test]
-    fn the_pose_of_keypoints_stays_if_too_few_agree() {
-        let (slam, start, _) = in_step(Config::default());
+    fn the_pose_of_keypoints_stays_if_too_few_links_are_left() {
+        let (world, start, _) = in_step(Config::default());
         let (mut plain, mut asked) = (start.clone(), start);
-        assert_eq!(slam.optimise(&mut plain), 300, "all fit, more or less");
-        assert_eq!(slam.agree(&mut asked, 0.76), 300, "225 are too few");
+        assert_eq!(by_links(&world, &mut plain), 300, "all fit, more or less");
+        assert_eq!(refined(&world, &mut asked, 0.76), 300, "225 are too few");
         assert_eq!(plain.camera_from_world, asked.camera_from_world, "pose");
-        assert_eq!(slam.agree(&mut asked, 0.75), 225, "225 are enough");
+        assert_eq!(refined(&world, &mut asked, 0.75), 225, "225 are enough");
     }
 
     #[test]
     fn without_depth_it_is_the_pose_of_keypoints() {
         let mut config = Config::default();
-        config.surface.enabled = false;
-        let (slam, start, _) = in_step(config);
+        config.depth_planes.enabled = false;
+        let (world, start, _) = in_step(config);
         let (mut plain, mut asked) = (start.clone(), start);
-        let inliers = slam.optimise(&mut plain);
-        assert_eq!(slam.agree(&mut asked, LEAST_AT_FIRST), inliers, "inliers");
+        let inliers = by_links(&world, &mut plain);
+        assert_eq!(refined(&world, &mut asked, MIN_SHARE_UNLABELLED), inliers, "inliers");
         assert_eq!(plain.camera_from_world, asked.camera_from_world, "pose");
         assert_eq!(plain.landmark, asked.landmark, "links");
     }
 
     #[test]
     fn only_the_youngest_keyframes_keep_their_depth() {
-        let mut slam = slam(Config::default());
+        let mut world = world(Config::default());
         let wall = DepthImage::new(SIZE.0, SIZE.1, WALL_M);
         for id in 0..5 {
-            let seen = frame(&slam, id, &wall);
-            let id = slam.map.add_keyframe(seen);
-            slam.forget_surfaces(id);
+            let seen = frame(&world, id, &wall);
+            let id = world.map.add_keyframe(seen);
+            drop_old_depth_planes(&mut world.map, id, 3);
         }
-        let kept: Vec<bool> = (slam.map.keyframes().iter())
-            .map(|k| k.surface.is_some())
+        let kept: Vec<bool> = (world.map.keyframes().iter())
+            .map(|k| k.depth_planes.is_some())
             .collect();
-        assert_eq!(kept, [false, false, true, true, true], "three are asked");
-        assert_eq!(slam.recent_surfaces().count(), 3, "of five");
+        assert_eq!(kept, [false, false, true, true, true], "three are compared with");
+        assert_eq!(recent_depth_planes(&world.map, 3).len(), 3, "of five");
     }
 }

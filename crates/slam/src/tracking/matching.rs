@@ -212,8 +212,7 @@ fn keep_consistent_rotations(from: &Frame, to: &mut Frame, pairs: &[Match]) -> u
 
 #[cfg(test)]
 mod tests {
-    use garad_core::pyramid::level_scales;
-    use garad_core::{DepthImage, FrameId};
+    use garad_core::{Camera, DepthImage, FrameId, Par};
     use garad_features::{Descriptor, Keypoint};
     use nalgebra::Vector3;
 
@@ -221,13 +220,11 @@ mod tests {
     use crate::config::Config;
     use crate::frame::Levels;
 
-    /// Everything is so far away, metres.
+    /// Distance of everything, metres.
     const DEPTH_M: f32 = 2.0;
 
     struct Scene {
-        camera: Camera,
-        config: Config,
-        scales: Vec<f64>,
+        context: Context,
     }
 
     impl Scene {
@@ -235,24 +232,13 @@ mod tests {
         fn new() -> Self {
             let mut config = Config::default();
             config.tracking.bf = 10.0;
-            let scales = level_scales(1.2, 8);
+            let camera = Camera::pinhole((160, 120), [100.0, 100.0, 80.0, 60.0]).expect("valid");
             Self {
-                camera: Camera::pinhole((160, 120), [100.0, 100.0, 80.0, 60.0]).expect("valid"),
-                config,
-                scales: scales.into_iter().map(f64::from).collect(),
+                context: Context::new(camera, config, 0, Par::Seq).expect("valid"),
             }
         }
 
-        fn matcher(&self) -> Matcher<'_> {
-            Matcher {
-                camera: &self.camera,
-                config: &self.config.tracking,
-                scales: &self.scales,
-                par: Par::Seq,
-            }
-        }
-
-        /// A frame with keypoints in the middle of the picture: level, and the lowest bits of the descriptor.
+        /// A frame with keypoints at the centre of the image: level, and the lowest bits of the descriptor.
         fn frame(&self, keypoints: &[(u8, u64)]) -> Frame {
             let of = |&(level, _): &(u8, u64)| Keypoint {
                 x: 80.0,
@@ -271,9 +257,9 @@ mod tests {
                 bits.collect(),
                 &DepthImage::new(160, 120, DEPTH_M),
                 None,
-                &self.camera,
+                &self.context.camera,
                 &Levels::new((160, 120), 1.2, 8, false),
-                &self.config,
+                &self.context.config,
             )
         }
 
@@ -282,7 +268,7 @@ mod tests {
             let mut map = Map::default();
             let id = map.add_keyframe(self.frame(keypoints));
             let p_world = Vector3::new(0.0, 0.0, f64::from(DEPTH_M));
-            let landmark = |i| map.add_landmark(p_world, id, i, &self.scales);
+            let landmark = |i| map.add_landmark(p_world, id, i, &self.context.scales);
             let landmarks = (0..keypoints.len()).map(landmark).collect();
             (map, landmarks)
         }
@@ -302,7 +288,7 @@ mod tests {
         ] {
             let mut now = scene.frame(&[(1, 0), (5, 0)]);
             now.camera_from_world.translation.z = -forward_m;
-            let found = scene.matcher().from_last_frame(&map, last, &mut now, 5.0);
+            let found = from_last_frame(&scene.context, &map, last, &mut now, 5.0);
             assert_eq!(now.landmark, [at_1, at_5], "{forward_m} m forwards");
             assert_eq!(
                 found,
@@ -317,18 +303,17 @@ mod tests {
     fn a_keypoint_that_is_taken_stays_taken() {
         let scene = Scene::new();
         let (map, landmarks) = scene.map(&[(2, 0b0001), (2, 0b0011)]);
-        let matcher = scene.matcher();
         let visible: Vec<_> = (landmarks.iter())
             .map(|id| {
                 let landmark = map.landmark(*id).expect("made");
                 let frame = scene.frame(&[]);
-                let seen = map.appearance(landmark, &frame, &scene.camera, &scene.scales);
-                (*id, seen.expect("in the middle of the picture"))
+                let seen = landmark.appearance(&frame, &scene.context.camera, &scene.context.scales);
+                (*id, seen.expect("at the centre of the image"))
             })
             .collect();
-        let from_map = |now: &mut Frame| matcher.from_local_map(&map, &visible, now);
+        let from_map = |now: &mut Frame| from_local_map(&scene.context, &map, &visible, now);
         let last = map.keyframe(garad_core::KeyframeId(0));
-        let from_last = |now: &mut Frame| matcher.from_last_frame(&map, last, now, 5.0);
+        let from_last = |now: &mut Frame| from_last_frame(&scene.context, &map, last, now, 5.0);
         let ways: [&dyn Fn(&mut Frame) -> usize; 2] = [&from_map, &from_last];
         for (way, search) in ["local map", "last frame"].into_iter().zip(ways) {
             // The second landmark's descriptor, bit by bit.
