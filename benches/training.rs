@@ -9,8 +9,9 @@ use garad_core::{Camera, GaussianMap, KeyframeId, NewGaussian, Par, Real, RgbIma
 use garad_slam::config::TrainConfig;
 use garad_slam::mapping::train::{Pick, Trainer, TrainingScene};
 use garad_slam::mapping::view::TrainingView;
+use garad_slam::trace::Recorder;
 
-/// Splats of about 2 px over the whole picture, at 1 to 4 m.
+/// Splats of about 2 px over the whole image, at 1 to 4 m.
 fn room(n: usize, camera: &Camera) -> GaussianMap<f32> {
     let mut rng = Rng::keyed(7, &[n as u64]);
     let mut map = GaussianMap::new(0);
@@ -58,11 +59,14 @@ fn training(criterion: &mut Criterion) {
                 let name = format!("{n}/{width}x{height}_{threads}_threads");
                 group.bench_function(BenchmarkId::from_parameter(name), |bencher| {
                     bencher.iter(|| {
-                        let pose = |_| Se3::identity();
-                        let par = Par::new(threads);
+                        let scene = TrainingScene {
+                            poses: &[Se3::identity()],
+                            extent_m: 1.0,
+                        };
+                        let (par, recorder) = (Par::new(threads), &mut Recorder::default());
                         let map = black_box(&mut map);
                         trainer
-                            .step(map, Pick::Youngest, pose, 1.0, &config, None, par)
+                            .step(map, Pick::Youngest, scene, &config, None, par, recorder)
                             .expect("an iteration")
                     });
                 });

@@ -1,9 +1,10 @@
-//! `config.toml`: read with the line of every slip, written as used.
+//! `config.toml`: read with the line of every mistake, written as used.
 
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow};
 use garad_slam::Config;
+use garad_slam::config::RENAMED_KEYS;
 
 /// Reads a configuration; tables and keys that are not given keep their defaults.
 ///
@@ -31,8 +32,29 @@ pub fn read(path: &Path) -> Result<Config> {
 /// fill a table inside a table with that table's own defaults, not with those of the pipeline.
 fn over_defaults(text: &str) -> Option<Config> {
     let mut config = toml::Table::try_from(Config::default()).ok()?;
-    lay_over(&mut config, text.parse().ok()?);
+    let mut given = text.parse().ok()?;
+    for (old, new) in RENAMED_KEYS {
+        rename(&mut given, old, new);
+    }
+    lay_over(&mut config, given);
     config.try_into().ok()
+}
+
+/// Moves a value to its key of today, unless that is given, too.
+fn rename(given: &mut toml::Table, old: &str, new: &str) {
+    let (table, old_key) = old.rsplit_once('.').unwrap_or(("", old));
+    let new_key = new.rsplit_once('.').map_or(new, |(_, key)| key);
+    let tables = table.split('.').filter(|key| !key.is_empty());
+    let table = tables
+        .into_iter()
+        .try_fold(given, |table, key| table.get_mut(key)?.as_table_mut());
+    let Some(table) = table.filter(|table| !table.contains_key(new_key)) else {
+        return;
+    };
+    if let Some(value) = table.remove(old_key) {
+        tracing::warn!("the configuration key {old} is {new} since 0.2.0; the old name is read for one version more");
+        table.insert(new_key.to_owned(), value);
+    }
 }
 
 fn lay_over(below: &mut toml::Table, above: toml::Table) {
@@ -96,7 +118,32 @@ mod tests {
     }
 
     #[test]
-    fn slips_are_named() {
+    fn keys_of_before_are_still_read() {
+        let text = "[seed]\nopacity = 0.5\n[refine]\nkeyframes = 7\n[surface.noise]\nfloor_m = 0.02\n\
+                    [features]\nmost_times = 3.0\n[train]\nrefine = 9\n[densify]\npull = 0.5\n\
+                    [labels]\nsecond_sight = false\nhindsight = false\n\
+                    [labels.displacement]\nbetter_ratio = 2.0\nbetter_by = 3.0\n";
+        let mut expected = Config::default();
+        expected.insertion.opacity = 0.5;
+        expected.subpixel.keyframes = 7;
+        expected.depth_planes.noise.floor_m = 0.02;
+        expected.features.max_oversampling = 3.0;
+        expected.train.final_iterations = 9;
+        expected.densify.grad_threshold = 0.5;
+        expected.labels.bootstrap_restart = false;
+        expected.labels.mask_freed_space = false;
+        expected.labels.patch_motion.min_residual_ratio = 2.0;
+        expected.labels.patch_motion.min_residual_gain = 3.0;
+        assert_eq!(parse(text).expect("valid"), expected, "all the renamed keys");
+        let by_alias: Config = toml::from_str(text).expect("valid");
+        assert_eq!(by_alias.insertion, expected.insertion, "serde alone, too");
+        let both = "[seed]\nopacity = 0.5\n[insertion]\nopacity = 0.6\n";
+        let error = format!("{:#}", parse(both).expect_err("given twice"));
+        assert!(error.contains("insertion"), "{error}");
+    }
+
+    #[test]
+    fn mistakes_are_named() {
         let unknown = format!(
             "{:#}",
             parse("[tracking]\nbff = 40.0").expect_err("no such key")
@@ -107,9 +154,9 @@ mod tests {
         );
         for (text, line) in [
             ("bff = 1", 1),
-            ("[seed]\n\nopacity = true\n", 3),
-            ("[seed\n", 1),
-            ("[seed]\nopacity =", 2),
+            ("[insertion]\n\nopacity = true\n", 3),
+            ("[insertion\n", 1),
+            ("[insertion]\nopacity =", 2),
         ] {
             let message = format!("{:#}", parse(text).expect_err(text));
             assert!(
@@ -119,8 +166,8 @@ mod tests {
         }
         let range = format!(
             "{:#}",
-            parse("[seed]\nopacity = 2.0").expect_err("not in (0, 1)")
+            parse("[insertion]\nopacity = 2.0").expect_err("not in (0, 1)")
         );
-        assert!(range.contains("seed.opacity"), "{range}");
+        assert!(range.contains("insertion.opacity"), "{range}");
     }
 }

@@ -1,12 +1,14 @@
-//! Chapters 12 and 13: a map that learns from coarse to fine, and why the order of a sum matters.
+//! Chapters 12 and 13: a map trained from coarse to fine, and why the order of a sum matters.
 
-use garad::core::{GaussianMap, KeyframeId, Real, RgbImage, Rng};
+use garad::core::{FrameId, GaussianMap, KeyframeId, Real, RgbImage, Rng};
 use garad::pictures::color_picture;
 use garad::raster::{RenderOptions, fast};
-use garad::slam::Config;
-use garad::slam::mapper::insert::{Picture, seed_from_depth};
+use garad::slam::mapping::insert::insert_depth_samples;
+use garad::slam::mapping::job::MappingJob;
 use garad::slam::mapping::train::{Pick, Trainer, TrainingScene};
 use garad::slam::mapping::view::TrainingView;
+use garad::slam::trace::Recorder;
+use garad::slam::{Config, Context};
 use garad::synth::{Scene, SceneConfig, SceneName, SynthFrame};
 
 use crate::canvas::{BLACK, BLUE, Canvas, GREEN, ORANGE};
@@ -27,19 +29,32 @@ pub(crate) fn coarse_to_fine() -> Drawn {
         ..SceneConfig::new(SceneName::QuietDesk)
     })?;
     let (camera, config) = (scene.camera(), Config::default());
-    let pose_of = |id: KeyframeId| scene.world_from_camera(KEYFRAMES[id.0 as usize]).inverse();
+    let context = Context::new(camera, config.clone(), 0, par())?;
+    let poses = KEYFRAMES.map(|k| scene.world_from_camera(k).inverse());
+    let keyframes = TrainingScene {
+        poses: &poses,
+        extent_m: 1.0,
+    };
     let mut map = GaussianMap::new(0);
     let mut trainer = Trainer::new(&camera, 0)?;
     for (id, &index) in (0..).map(KeyframeId).zip(&KEYFRAMES) {
         let SynthFrame { rgb, depth, .. } = scene.frame(index, par());
-        let picture = Picture {
-            rgb: &rgb,
-            depth: &depth,
+        let job = MappingJob {
+            keyframe: id,
+            frame: FrameId(0),
+            rgb,
+            depth,
             mask: None,
+            cells: None,
+            labels: Vec::new(),
+            poses: Vec::new(),
+            moved: Vec::new(),
+            new_landmarks: Vec::new(),
+            living: Vec::new(),
+            iterations: 0,
         };
-        let (pose, seed, reach_m) = (pose_of(id), &config.insertion, config.features.max_depth_m);
-        seed_from_depth(&mut map, &picture, &camera, &pose, id, seed, reach_m, par());
-        trainer.add_view(TrainingView::new(id, rgb, Some(depth), None, 0));
+        insert_depth_samples(&context, &mut map, &job, &poses[id.index()])?;
+        trainer.add_view(TrainingView::new(id, job.rgb, Some(job.depth), None, 0));
     }
     let mut canvas = Canvas::new(3 * 250, 520);
     let chart = Chart::new(
@@ -57,16 +72,17 @@ pub(crate) fn coarse_to_fine() -> Drawn {
     let mut left = 5;
     for i in 0..=ITERATIONS {
         if [0, 30, ITERATIONS].contains(&i) {
-            let pose = pose_of(KeyframeId(2));
+            let pose = poses[2];
             let drawn = fast::render(&map, &camera, &pose, &RenderOptions::default(), par())?;
             canvas.text([left as f64, 6.0], &format!("{i} iterations"), BLACK);
             canvas.paste(&color_picture(&drawn), [left, 28], 1);
             left += 250;
         }
-        // As in a refinement, nothing grows in the second half.
+        // As after the last frame, nothing is cloned or split in the second half.
         let grow = (i < ITERATIONS / 2).then_some(&config.densify);
         let pick = Pick::Shuffled;
-        let step = trainer.step(&mut map, pick, pose_of, 1.0, &config.train, grow, par())?;
+        let (train, recorder) = (&config.train, &mut Recorder::default());
+        let step = trainer.step(&mut map, pick, keyframes, train, grow, par(), recorder)?;
         let step = step.ok_or("nothing to train on")?;
         let point = [i as f64, f64::from(step.loss)];
         if chart.holds(point) {

@@ -10,7 +10,7 @@ const FRAMES: usize = 240;
 
 fn run(scene: &Scene, frames: &[SynthFrame], enabled: bool, par: Par) -> Slam {
     let mut config = Config::default();
-    config.seed.enabled = false;
+    config.insertion.enabled = false;
     config.labels.enabled = false;
     config.features.count = 300;
     config.culling.enabled = enabled;

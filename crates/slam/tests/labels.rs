@@ -11,13 +11,13 @@ use std::sync::OnceLock;
 
 use garad_core::{Label, MaskImage, Par, StampedPose};
 use garad_eval::{AteOptions, Confusion, ate};
-use garad_slam::labels::FrameLabels;
+use garad_slam::LabelledFrame;
 use garad_slam::{Config, FrameInput, FrameReport, Silent, Slam, TrackingState};
 use garad_synth::{Scene, SceneConfig, SceneName, SynthFrame};
 
 const BOOTSTRAP: usize = 10;
 
-/// A scene and its pictures, made once for all runs.
+/// A scene and its images, made once for all runs.
 struct Recording {
     scene: Scene,
     frames: Vec<SynthFrame>,
@@ -73,21 +73,21 @@ fn walking_alone() -> &'static (Recording, Run) {
 struct Run {
     path: Vec<StampedPose>,
     reports: Vec<FrameReport>,
-    labels: Vec<Option<FrameLabels>>,
+    labels: Vec<Option<LabelledFrame>>,
     landmarks: usize,
     moving_landmarks: usize,
 }
 
 fn config() -> Config {
     let mut config = Config::default();
-    config.seed.enabled = false;
+    config.insertion.enabled = false;
     config
 }
 
-/// Older pictures are asked, too.
-fn with_displacement() -> Config {
+/// With patch motion since older images.
+fn with_patch_motion() -> Config {
     let mut config = config();
-    config.labels.displacement.enabled = true;
+    config.labels.patch_motion.enabled = true;
     config
 }
 
@@ -108,13 +108,13 @@ fn run(recording: &Recording, config: Config, par: Par) -> Run {
             mask: None,
         };
         reports.push(slam.process(&input, &mut Silent).expect("a good frame"));
-        labels.push(slam.frame_labels().cloned());
-        for sight in slam.take_second_sight() {
+        labels.push(slam.labelled_frame().cloned());
+        for sight in slam.take_replayed() {
             let k = sight.report.id.index();
             (reports[k], labels[k]) = (sight.report, sight.labels);
         }
     }
-    let landmarks: Vec<Label> = slam.map().landmarks().map(|(_, l)| l.label).collect();
+    let landmarks: Vec<Label> = slam.map().landmarks().map(|(_, l)| l.label()).collect();
     Run {
         path: slam.trajectory(),
         reports,
@@ -202,7 +202,7 @@ fn people_who_walk_are_found_and_kept_out_of_the_pose() {
     let on = walking_labelled();
     assert!(
         on.labels.iter().all(Option::is_some),
-        "every frame, the first ones at second sight"
+        "every frame, the first ones when replayed"
     );
     let reached = figures(recording, on, 0..60);
     assert!(reached.f1() > 0.82, "F1 {} (0.869)", reached.f1());
@@ -236,7 +236,7 @@ fn people_who_walk_are_found_and_kept_out_of_the_pose() {
     let (twin, alone) = walking_alone();
     let twin = ate_m(twin, alone);
     let [on, off] = [on, walking_unlabelled()].map(|run| ate_m(recording, run));
-    // So small a picture leaves much to chance: 0.010 m to 0.016 m with other sampling or first frames.
+    // So small an image leaves much to chance: 0.010 m to 0.016 m with other sampling or first frames.
     assert!(on < 0.016, "ATE {on} m (0.0158)");
     // Depth alone keeps the pose from half of what people would do to it (decision 009).
     assert!(
@@ -247,7 +247,7 @@ fn people_who_walk_are_found_and_kept_out_of_the_pose() {
 }
 
 #[test]
-fn where_nothing_moves_nothing_is_called_moving() {
+fn static_scenes_have_no_dynamic_labels() {
     let desk = Recording::small(SceneName::QuietDesk, 60, true);
     let still = run(&desk, config(), Par::Seq);
     let (twin, alone) = walking_alone();
@@ -312,7 +312,7 @@ fn what_sets_off_is_found_soon_after_and_not_before() {
 
 /// The camera stands: every pose is the first.
 #[test]
-fn a_camera_at_rest_sees_who_walks_by() {
+fn a_camera_at_rest_finds_who_walks_by() {
     let recording = Recording::small(SceneName::Tripod, 60, true);
     let on = run(&recording, config(), Par::Seq);
     let reached = figures(&recording, &on, 0..60);
@@ -334,7 +334,7 @@ fn a_camera_at_rest_sees_who_walks_by() {
 
 /// Dark from frame 36 to 41, with people on the move.
 #[test]
-fn darkness_moves_nothing_and_passes() {
+fn dark_frames_change_no_label() {
     let recording = Recording::small(SceneName::LightsOut, 60, true);
     let run = run(&recording, config(), Par::Seq);
     let states = states(&run);
@@ -364,7 +364,7 @@ fn darkness_moves_nothing_and_passes() {
 
 #[test]
 fn any_number_of_threads_finds_the_same_labels() {
-    for config in [config(), with_displacement()] {
+    for config in [config(), with_patch_motion()] {
         same_labels_on_threads(&config);
     }
 }
@@ -446,23 +446,23 @@ fn a_given_mask_is_all_that_moves() {
             mask: Some(&frame.mask),
         };
         let report = slam.process(&input, &mut Silent).expect("a good frame");
-        assert_eq!(slam.frame_labels(), None, "not asked");
+        assert_eq!(slam.labelled_frame(), None, "not asked");
         assert!(report.dynamic_keypoints > 50, "of the mask: {report:?}");
     }
     let landmarks = slam.map().landmarks();
-    let moving = landmarks.filter(|(_, l)| l.label == Label::Dynamic);
+    let moving = landmarks.filter(|(_, l)| l.label() == Label::Dynamic);
     assert_eq!(moving.count(), 0, "landmarks");
 }
 
-/// With half the picture taken, twice as many keypoints are looked for, so that as many are left.
+/// With half the image covered, twice as many keypoints are detected, so that as many are left.
 #[test]
-fn keypoints_are_spent_on_what_is_left() {
+fn more_keypoints_are_detected_where_people_take_some() {
     let recording = walking();
     let frame = &recording.frames[0];
     let (width, height) = frame.mask.size();
-    let counts = |most_times: f64, covered: usize| {
+    let counts = |max_oversampling: f64, covered: usize| {
         let mut config = config();
-        config.features.most_times = most_times;
+        config.features.max_oversampling = max_oversampling;
         let mut slam = Slam::new(recording.scene.camera(), config, 0, Par::Seq).expect("valid");
         let mask = MaskImage::from_fn(width, height, |x, _| if x < covered { 255 } else { 0 });
         [(); 2].map(|()| {
@@ -485,17 +485,17 @@ fn keypoints_are_spent_on_what_is_left() {
     let times = [second as f64 / first as f64, left_then as f64 / left as f64];
     assert!(times[0] > 1.5 && times[1] > 1.5, "{times:?} times as many");
     assert!(left_then > 4 * first / 5, "{left_then} of {first} are left");
-    for (most_times, covered, why) in [(1.0, half, "switched off"), (2.0, 0, "nothing covered")] {
-        let [one, other] = counts(most_times, covered);
+    for (max_oversampling, covered, why) in [(1.0, half, "switched off"), (2.0, 0, "nothing covered")] {
+        let [one, other] = counts(max_oversampling, covered);
         assert_eq!(one, other, "{why}");
     }
 }
 
-/// Who sets off slowly is seen sooner against older pictures (decision 012).
+/// Slow motion is found sooner against older images (decision 012).
 #[test]
-fn older_pictures_find_more_of_what_sets_off() {
+fn older_images_find_more_of_what_sets_off() {
     let recording = Recording::small(SceneName::SetsOff, 80, true);
-    let [without, with] = [config(), with_displacement()].map(|config| {
+    let [without, with] = [config(), with_patch_motion()].map(|config| {
         let run = run(&recording, config, Par::Threads(2));
         [0..45, 45..80].map(|frames| figures(&recording, &run, frames).keypoints)
     });
@@ -525,7 +525,7 @@ fn extensive_hard_scenes_at_full_size() {
     let base = base.expect("valid scene");
     type Make = fn() -> Config;
     let depth: (&str, Make) = ("depth alone", config);
-    let older: (&str, Make) = ("older pictures, too", with_displacement);
+    let older: (&str, Make) = ("older images, too", with_patch_motion);
     #[rustfmt::skip]
     let reached = [
         // scene                         F1    IoU   ATE m   measured

@@ -8,7 +8,7 @@ use garad_synth::{Scene, SceneConfig, SceneName};
 /// Without mapping and with few features, so that the path drifts.
 fn few_features(enabled: bool) -> Config {
     let mut config = Config::default();
-    config.seed.enabled = false;
+    config.insertion.enabled = false;
     config.features.count = 300;
     config.loops.enabled = enabled;
     config

@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 
 use garad_core::{DepthImage, GaussianMap, Par, RgbImage, StampedPose};
 use garad_eval::{AteOptions, ate};
-use garad_slam::labels::FrameLabels;
+use garad_slam::LabelledFrame;
 use garad_slam::map::Map;
 use garad_slam::session::SectionReader;
 use garad_slam::{Config, FrameInput, FrameReport, SessionError, Silent, Slam, TrackingState};
@@ -54,10 +54,10 @@ fn config() -> Config {
     config.train.per_keyframe = 2;
     config.train.sh_every = 10;
     config.densify.every = 12;
-    config.densify.pull = 1e-5;
+    config.densify.grad_threshold = 1e-5;
     config.densify.split_extent = 0.03; // some are cloned, some split
     config.tracking.min_inliers_after_recovery = 30;
-    config.train.refine = 15;
+    config.train.final_iterations = 15;
     config
 }
 
@@ -65,7 +65,7 @@ fn config() -> Config {
 #[derive(Debug, PartialEq)]
 struct Outcome {
     reports: Vec<FrameReport>,
-    labels: Vec<Option<FrameLabels>>,
+    labels: Vec<Option<LabelledFrame>>,
     path: Vec<StampedPose>,
     keyframes: Vec<StampedPose>,
     gaussians: GaussianMap,
@@ -75,7 +75,7 @@ struct Outcome {
 #[derive(Debug, Default)]
 struct Said {
     reports: Vec<FrameReport>,
-    labels: Vec<Option<FrameLabels>>,
+    labels: Vec<Option<LabelledFrame>>,
 }
 
 impl Said {
@@ -89,13 +89,13 @@ impl Said {
             };
             let report = slam.process(&input, &mut Silent).expect("a good frame");
             self.reports.push(report);
-            self.labels.push(slam.frame_labels().cloned());
+            self.labels.push(slam.labelled_frame().cloned());
         }
     }
 
     fn end(mut self, mut slam: Slam) -> Outcome {
         self.go_on(&mut slam, FRAMES);
-        slam.refine_map(&mut |_| ()).expect("trains");
+        slam.train_final(&mut |_| ()).expect("trains");
         Outcome {
             reports: self.reports,
             labels: self.labels,
@@ -295,7 +295,7 @@ fn a_finished_map_is_tracked_in_and_stays_as_it_is() {
 }
 
 #[test]
-fn what_the_map_does_not_show_is_not_found_in_it() {
+fn a_place_outside_the_map_is_not_found() {
     let (_, _, mut slam) = session(5, Par::Seq);
     let before = maps(&mut slam);
     slam.localise_only().expect("alive");

@@ -1,6 +1,6 @@
 //! The tracker on scenes whose truth is exact.
 //!
-//! Small pictures and few frames, so that every test takes seconds; the long ones run with
+//! Small images and few frames, so that every test takes seconds; the long ones run with
 //! `GARAD_EXTENSIVE=1`.
 
 use garad_core::{DepthImage, Par, RgbImage, StampedPose};
@@ -21,7 +21,7 @@ fn small(name: SceneName, frames: usize) -> SceneConfig {
 
 fn slam(scene: &Scene, par: Par) -> Slam {
     let mut config = Config::default();
-    config.seed.enabled = false;
+    config.insertion.enabled = false;
     Slam::new(scene.camera(), config, 0, par).expect("valid")
 }
 
@@ -157,7 +157,7 @@ fn it_waits_for_the_first_usable_frame() {
 }
 
 #[test]
-fn a_picture_of_another_size_is_refused_and_the_run_goes_on() {
+fn an_image_of_another_size_is_refused_and_the_run_goes_on() {
     let scene = Scene::new(&small(SceneName::QuietDesk, 3)).expect("valid scene");
     let mut slam = slam(&scene, Par::Seq);
     let mut frame = scene.frame(0, Par::Seq);
@@ -180,7 +180,7 @@ fn a_picture_of_another_size_is_refused_and_the_run_goes_on() {
     assert_eq!(next.state, TrackingState::Tracking, "{next:?}");
 }
 
-/// With people over half the picture, true labels keep the path near what it is without them.
+/// With people over half the image, true labels keep the path near what it is without them.
 #[test]
 fn true_labels_keep_people_out_of_the_pose() {
     let mut config = small(SceneName::Huddle, 20);
@@ -197,7 +197,7 @@ fn true_labels_keep_people_out_of_the_pose() {
     );
     let with = ate_m(&scene, &labelled.trajectory());
     let mut config = Config::default();
-    (config.seed.enabled, config.labels.enabled) = (false, false);
+    (config.insertion.enabled, config.labels.enabled) = (false, false);
     let mut blind = Slam::new(scene.camera(), config, 0, Par::Seq).expect("valid");
     for i in 0..scene.len() {
         process(&mut blind, &scene.frame(i, Par::Threads(2)), false);
@@ -210,7 +210,7 @@ fn true_labels_keep_people_out_of_the_pose() {
     );
 }
 
-/// The figures of the README on full-size pictures.
+/// The figures of the README on full-size images.
 #[test]
 fn extensive_static_twins_at_full_size() {
     if std::env::var_os("GARAD_EXTENSIVE").is_none() {

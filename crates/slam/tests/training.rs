@@ -1,4 +1,4 @@
-//! The map learns pictures: on a small scene, in a few iterations.
+//! Training on a small scene, in a few iterations.
 
 use garad_core::{Par, StampedPose};
 use garad_raster::{RenderOptions, render};
@@ -24,7 +24,7 @@ fn trained(scene: &Scene, iterations: usize, par: Par) -> (Slam, Vec<f32>) {
     let mut config = Config::default();
     config.train.per_keyframe = 0;
     config.train.per_frame = 0;
-    config.train.refine = iterations;
+    config.train.final_iterations = iterations;
     config.train.uses_per_level = 0; // full size from the start: losses can be compared
     run(scene, config, par)
 }
@@ -43,7 +43,7 @@ fn run(scene: &Scene, config: Config, par: Par) -> (Slam, Vec<f32>) {
         slam.process(&input, &mut Silent).expect("a good frame");
     }
     let mut losses = Vec::new();
-    slam.refine_map(&mut |step| losses.push(step.loss))
+    slam.train_final(&mut |step| losses.push(step.loss))
         .expect("trains");
     (slam, losses)
 }
@@ -71,7 +71,7 @@ fn error_of_last_frame(slam: &Slam, scene: &Scene) -> f32 {
 }
 
 #[test]
-fn training_makes_the_map_look_like_the_pictures() {
+fn training_makes_the_map_look_like_the_images() {
     let scene = scene();
     let (seeded, _) = trained(&scene, 0, Par::Seq);
     let (learnt, losses) = trained(&scene, 60, Par::Threads(2));
@@ -96,10 +96,10 @@ fn any_number_of_threads_trains_the_same_map() {
     config.schedule.handover_frames = 3;
     config.train.per_keyframe = 8;
     config.train.per_frame = 2;
-    config.train.refine = 150;
+    config.train.final_iterations = 150;
     config.train.sh_every = 60;
     config.densify.every = 40;
-    config.densify.pull = 2e-4;
+    config.densify.grad_threshold = 2e-4;
     let (one, losses) = run(&scene, config.clone(), Par::Seq);
     let map = one.gaussians().expect("at rest");
     assert!(one.map().keyframes().len() >= 3, "several jobs");
@@ -125,15 +125,15 @@ fn any_number_of_threads_trains_the_same_map() {
 }
 
 #[test]
-fn clones_and_children_come_and_faded_ones_go() {
+fn clones_and_children_are_added_and_faded_ones_pruned() {
     let scene = scene();
     let mut config = Config::default();
     config.train.per_keyframe = 0;
     config.train.per_frame = 0;
-    config.train.refine = 60;
+    config.train.final_iterations = 60;
     config.train.uses_per_level = 0;
     config.densify.every = 20;
-    config.densify.pull = 1e-4;
+    config.densify.grad_threshold = 1e-4;
     let (grown, _) = run(&scene, config.clone(), Par::Threads(2));
     config.densify.enabled = false;
     let (plain, _) = run(&scene, config.clone(), Par::Threads(2));

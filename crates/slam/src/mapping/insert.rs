@@ -30,7 +30,7 @@ const TOO_NEAR: f64 = 0.5;
 ///
 /// # Errors
 /// [`RasterError`] if the map cannot be rendered.
-pub(crate) fn insert_depth_samples(
+pub fn insert_depth_samples(
     context: &Context,
     map: &mut GaussianMap,
     job: &MappingJob,

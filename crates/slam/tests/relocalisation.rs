@@ -1,6 +1,6 @@
 //! A camera that sees nothing for a while, and one that is carried off: both are found again.
 //!
-//! Small pictures, so that the tests take seconds.
+//! Small images, so that the tests take seconds.
 
 use garad_core::{DepthImage, Par, RgbImage};
 use garad_eval::{AteOptions, ate};
@@ -23,7 +23,7 @@ fn room(frames: usize) -> Scene {
 
 fn slam(scene: &Scene, par: Par) -> Slam {
     let mut config = Config::default();
-    config.seed.enabled = false;
+    config.insertion.enabled = false;
     Slam::new(scene.camera(), config, 0, par).expect("valid")
 }
 

@@ -1,7 +1,7 @@
 //! Single stages of the mapper against closed forms.
 
 use garad_core::{GaussianMap, KeyframeId, NewGaussian, Se3, So3};
-use garad_slam::mapper::follow::follow;
+use garad_slam::mapping::loop_correction::apply_loop_correction;
 use nalgebra::Vector3;
 use std::f64::consts::FRAC_PI_2;
 
@@ -23,7 +23,7 @@ fn a_gaussian_follows_its_keyframe_with_its_axes() {
         .quaternion()
         .map(|c| garad_core::Real::from_f64(2.0 * c));
     let motion = Se3::new(quarter(Vector3::z()), Vector3::new(0.0, 0.0, 3.0));
-    follow(&mut map, &[motion]);
+    apply_loop_correction(&mut map, &[motion]);
 
     let mean = Vector3::from(map.means[0].map(f64::from));
     assert!(

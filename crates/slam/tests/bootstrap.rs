@@ -1,13 +1,13 @@
 //! A run that begins while people walk, against scenes whose truth is exact.
 //!
 //! Pictures of 320 x 240 with the noise of a Kinect, and no map of Gaussians. Every bound stands next
-//! to what was measured when it was set: 0.030 m at second sight and 0.282 m at first, IoU 0.90.
+//! to what was measured when it was set: 0.030 m with the restart and 0.282 m without, IoU 0.90.
 
 use std::sync::OnceLock;
 
 use garad_core::{DepthImage, FrameId, Par, Se3, StampedPose};
 use garad_eval::Confusion;
-use garad_slam::{Config, FrameInput, SecondSight, Silent, Slam};
+use garad_slam::{Config, FrameInput, ReplayedFrame, Silent, Slam};
 use garad_synth::{Scene, SceneConfig, SceneName, SynthFrame};
 
 /// Two more than the bootstrap.
@@ -41,7 +41,7 @@ fn in_step() -> &'static Recording {
 
 fn config() -> Config {
     let mut config = Config::default();
-    config.seed.enabled = false;
+    config.insertion.enabled = false;
     config
 }
 
@@ -50,7 +50,7 @@ fn begin(recording: &Recording, config: Config, par: Par) -> Slam {
 }
 
 /// Gives these frames, and returns what was said of the first ones later.
-fn go_on(slam: &mut Slam, frames: &[SynthFrame]) -> Vec<SecondSight> {
+fn go_on(slam: &mut Slam, frames: &[SynthFrame]) -> Vec<ReplayedFrame> {
     let mut again = Vec::new();
     for frame in frames {
         let input = FrameInput {
@@ -60,7 +60,7 @@ fn go_on(slam: &mut Slam, frames: &[SynthFrame]) -> Vec<SecondSight> {
             mask: None,
         };
         slam.process(&input, &mut Silent).expect("a good frame");
-        again.extend(slam.take_second_sight());
+        again.extend(slam.take_replayed());
     }
     again
 }
@@ -77,12 +77,12 @@ fn farthest_m(recording: &Recording, path: &[StampedPose]) -> f64 {
 }
 
 #[test]
-fn people_in_the_first_frames_are_found_and_pull_nothing() {
+fn people_in_the_first_frames_are_found_and_distort_no_pose() {
     let recording = in_step();
     let mut blind = config();
-    blind.labels.second_sight = false;
+    blind.labels.bootstrap_restart = false;
     let mut slam = begin(recording, blind, Par::Seq);
-    assert!(!slam.may_begin_again(), "switched off");
+    assert!(!slam.may_restart(), "switched off");
     assert_eq!(
         go_on(&mut slam, &recording.frames).len(),
         0,
@@ -91,9 +91,9 @@ fn people_in_the_first_frames_are_found_and_pull_nothing() {
     let before_m = farthest_m(recording, &slam.trajectory());
 
     slam = begin(recording, config(), Par::Seq);
-    assert!(slam.may_begin_again(), "not known yet");
+    assert!(slam.may_restart(), "not known yet");
     let again = go_on(&mut slam, &recording.frames);
-    assert!(!slam.may_begin_again(), "only once");
+    assert!(!slam.may_restart(), "only once");
     let after_m = farthest_m(recording, &slam.trajectory());
     assert_eq!(slam.trajectory().len(), FRAMES, "every frame has its place");
     assert!(
@@ -121,10 +121,10 @@ fn people_in_the_first_frames_are_found_and_pull_nothing() {
 }
 
 #[test]
-fn nobody_there_nothing_again() {
+fn a_static_scene_is_not_restarted() {
     let recording = recording(SceneName::QuietDesk);
     let mut blind = config();
-    blind.labels.second_sight = false;
+    blind.labels.bootstrap_restart = false;
     let mut once = begin(&recording, blind, Par::Seq);
     go_on(&mut once, &recording.frames);
     let mut slam = begin(&recording, config(), Par::Seq);
@@ -133,7 +133,7 @@ fn nobody_there_nothing_again() {
 }
 
 #[test]
-fn same_bits_for_two_threads_and_after_a_break() {
+fn same_bits_for_two_threads_and_after_a_resume() {
     let recording = in_step();
     let mut slam = begin(recording, config(), Par::Seq);
     go_on(&mut slam, &recording.frames);
@@ -145,7 +145,7 @@ fn same_bits_for_two_threads_and_after_a_break() {
     slam.save(&mut session).expect("saved");
     let mut resumed = Slam::load(&mut session.as_slice(), Par::Threads(3)).expect("loaded");
     for (what, slam) in [("went on", &mut slam), ("resumed", &mut resumed)] {
-        assert!(slam.may_begin_again(), "{what}: the first frames are kept");
+        assert!(slam.may_restart(), "{what}: the first frames are kept");
         let again = go_on(slam, &recording.frames[6..]);
         assert_eq!(again.len(), 9, "{what}: began again");
         assert_eq!(slam.trajectory(), expected, "{what}");
