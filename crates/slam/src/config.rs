@@ -38,8 +38,14 @@ pub const RENAMED_KEYS: [(&str, &str); 11] = [
     ("labels.second_sight", "labels.bootstrap_restart"),
     ("labels.hindsight", "labels.mask_freed_space"),
     ("labels.displacement", "labels.patch_motion"),
-    ("labels.patch_motion.better_ratio", "labels.patch_motion.min_residual_ratio"),
-    ("labels.patch_motion.better_by", "labels.patch_motion.min_residual_gain"),
+    (
+        "labels.patch_motion.better_ratio",
+        "labels.patch_motion.min_residual_ratio",
+    ),
+    (
+        "labels.patch_motion.better_by",
+        "labels.patch_motion.min_residual_gain",
+    ),
 ];
 
 /// The whole configuration; a TOML table per field.

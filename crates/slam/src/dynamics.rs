@@ -151,7 +151,8 @@ impl Dynamics {
         self.free_space.insert(keyframe, free_space);
         let now = map.keyframe(keyframe).id;
         let oldest = now.0.saturating_sub(context.config.labels.memory_frames);
-        self.free_space.retain(|k, _| map.keyframe(*k).id.0 >= oldest);
+        self.free_space
+            .retain(|k, _| map.keyframe(*k).id.0 >= oldest);
         if !self.is_active(context, now) {
             return Vec::new();
         }

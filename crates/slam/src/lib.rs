@@ -34,9 +34,7 @@ mod testing;
 
 pub use config::{Config, ConfigError, CullingConfig, LoopConfig};
 pub use context::Context;
-pub use io::{
-    FrameInput, FrameReport, LabelledFrame, ReplayedFrame, SlamError, TrackingState,
-};
+pub use io::{FrameInput, FrameReport, LabelledFrame, ReplayedFrame, SlamError, TrackingState};
 pub use keyframing::loop_closing::LoopClosure;
 pub use observer::{Observer, Silent, Stage};
 pub use pipeline::Slam;

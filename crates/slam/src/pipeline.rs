@@ -9,9 +9,7 @@
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
-use garad_core::{
-    Camera, FrameId, GaussianMap, KeyframeId, Label, Par, StampedPose,
-};
+use garad_core::{Camera, FrameId, GaussianMap, KeyframeId, Label, Par, StampedPose};
 use garad_features::{LkPyramid, PlaceConfig, PlaceIndex};
 
 use crate::config::Config;
@@ -23,9 +21,7 @@ use crate::dynamics::samples::FrameView;
 use crate::frame::extract::{FrameExtractor, wanted_keypoints};
 use crate::frame::{Frame, FrameLabels};
 use crate::images::{ImageStore, lk_pyramid};
-use crate::io::{
-    FrameInput, FrameReport, LabelledFrame, ReplayedFrame, SlamError, TrackingState,
-};
+use crate::io::{FrameInput, FrameReport, LabelledFrame, ReplayedFrame, SlamError, TrackingState};
 use crate::keyframing::Keyframing;
 use crate::keyframing::culling::cull_keyframes;
 use crate::keyframing::decide::needs_keyframe;
@@ -74,12 +70,7 @@ impl Slam {
     ///
     /// # Errors
     /// [`SlamError::Config`] or [`SlamError::Camera`] for invalid values.
-    pub fn new(
-        camera: Camera,
-        config: Config,
-        rng_seed: u64,
-        par: Par,
-    ) -> Result<Self, SlamError> {
+    pub fn new(camera: Camera, config: Config, rng_seed: u64, par: Par) -> Result<Self, SlamError> {
         let context = Context::new(camera, config, rng_seed, par)?;
         let places = PlaceIndex::new(PlaceConfig::default(), rng_seed);
         Ok(Self {
@@ -300,7 +291,13 @@ impl Slam {
         labels: Option<FrameLabels>,
         observer: &mut dyn Observer,
     ) -> Result<KeyframeId, SlamError> {
-        let Self { context, map, keyframing, recorder, .. } = self;
+        let Self {
+            context,
+            map,
+            keyframing,
+            recorder,
+            ..
+        } = self;
         let config = &context.config;
         let frame_id = frame.id;
         let since_last = (frame_id.0 - map.last_keyframe_frame().0) as usize;
@@ -381,7 +378,10 @@ impl Slam {
         let Some((buffer, future)) = restart else {
             return Ok(report);
         };
-        tracing::info!(frame = report.id.0, "something moves in the first frames: restart");
+        tracing::info!(
+            frame = report.id.0,
+            "something moves in the first frames: restart"
+        );
         self.restart(future)?;
         let last = self.replay(&buffer, report, observer);
         self.dynamics.drop_future();
@@ -391,7 +391,13 @@ impl Slam {
     /// As before the first frame, but with future views. Observer and recorded frames stay.
     fn restart(&mut self, future: Vec<FutureView>) -> Result<(), SlamError> {
         self.mapping.finish()?;
-        let Context { camera, config, rng_seed, par, .. } = self.context.clone();
+        let Context {
+            camera,
+            config,
+            rng_seed,
+            par,
+            ..
+        } = self.context.clone();
         let fresh = Self::new(camera, config, rng_seed, par)?;
         let before = std::mem::replace(self, fresh);
         self.dynamics = Dynamics::restarted(&self.context, future)?;

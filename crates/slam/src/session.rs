@@ -222,7 +222,9 @@ mod tests {
             (camera, &config, 4, "seed: the session has 3, this run 4"),
             (camera, &untrained, 3, "configuration.train.per_keyframe"),
         ] {
-            let error = slam.resume_with(&camera, config, seed).expect_err("refused");
+            let error = slam
+                .resume_with(&camera, config, seed)
+                .expect_err("refused");
             assert!(error.to_string().starts_with(expected), "{error}");
         }
     }
@@ -246,7 +248,10 @@ mod tests {
         let error = slam
             .resume_with(&slam.context.camera.clone(), &mute, 3)
             .expect_err("no image was kept to train on");
-        assert!(error.to_string().contains("train.final_iterations"), "{error}");
+        assert!(
+            error.to_string().contains("train.final_iterations"),
+            "{error}"
+        );
     }
 
     #[test]

@@ -485,7 +485,9 @@ fn more_keypoints_are_detected_where_people_take_some() {
     let times = [second as f64 / first as f64, left_then as f64 / left as f64];
     assert!(times[0] > 1.5 && times[1] > 1.5, "{times:?} times as many");
     assert!(left_then > 4 * first / 5, "{left_then} of {first} are left");
-    for (max_oversampling, covered, why) in [(1.0, half, "switched off"), (2.0, 0, "nothing covered")] {
+    for (max_oversampling, covered, why) in
+        [(1.0, half, "switched off"), (2.0, 0, "nothing covered")]
+    {
         let [one, other] = counts(max_oversampling, covered);
         assert_eq!(one, other, "{why}");
     }

@@ -52,7 +52,9 @@ pub(crate) fn label_landmarks(
     });
     let mut changed = Vec::new();
     for (id, label) in ids.into_iter().zip(beliefs.labels) {
-        let landmark = map.landmark_mut(id).expect("nodes are landmarks of the map");
+        let landmark = map
+            .landmark_mut(id)
+            .expect("nodes are landmarks of the map");
         let retention = landmark.push_label(label, &context.config.labels.window);
         if retention.changed {
             changed.push((id, label));
@@ -75,7 +77,12 @@ mod tests {
 
     /// Labels a keyframe's landmarks; returns those that changed.
     fn label(world: &mut World, keyframe: KeyframeId) -> Vec<(LandmarkId, Label)> {
-        let World { context, map, dynamics, .. } = world;
+        let World {
+            context,
+            map,
+            dynamics,
+            ..
+        } = world;
         let now = map.keyframe(keyframe).id;
         let crf = Crf::new(context.config.crf.clone()).expect("valid");
         let history = dynamics.history(context, map, now);
@@ -97,7 +104,10 @@ mod tests {
         let mut of = [Vec::new(), Vec::new()];
         let scales = world.context.scales.clone();
         for (i, [x, y]) in places().into_iter().enumerate() {
-            let p_world = world.map.keyframe(first).world_point(i, &world.context.camera);
+            let p_world = world
+                .map
+                .keyframe(first)
+                .world_point(i, &world.context.camera);
             let p_world = p_world.expect("no keypoint is on an edge");
             let id = world.map.add_landmark(p_world, first, i, &scales);
             let on_wall = !is_in(BOX_PX, x, y);
@@ -172,7 +182,12 @@ mod tests {
         let first = world.map.keyframe(KeyframeId(0));
         back.landmark.clone_from(&first.landmark);
         let back = world.map.add_keyframe(back);
-        let World { context, map, dynamics, .. } = &mut world;
+        let World {
+            context,
+            map,
+            dynamics,
+            ..
+        } = &mut world;
         let recorder = &mut Recorder::default();
         let changed = dynamics.label_keyframe(context, map, back, &depth, None, recorder);
         let left: Vec<_> = dynamics.free_space.keys().copied().collect();
@@ -197,7 +212,9 @@ mod tests {
         let (mut world, third, [of_box, of_wall]) = a_box_that_left(Config::default());
         let cues = |world: &World, id| {
             let landmark = world.map.landmark(id).expect("alive");
-            let history = world.dynamics.history(&world.context, &world.map, FrameId(20));
+            let history = world
+                .dynamics
+                .history(&world.context, &world.map, FrameId(20));
             landmark_cues(&world.context, &world.map, landmark, &history)
         };
         let [on_box, on_wall] = [of_box[0], of_wall[0]].map(|id| cues(&world, id));
@@ -225,7 +242,11 @@ mod tests {
         // Aside, ahead and turned, and the keypoint where the landmark is: its line passes through it.
         let p_world = world.map.landmark(of_wall[0]).expect("alive").p_world;
         let pose = Se3::exp(&Vector6::new(-0.5, 0.1, -0.5, 0.02, -0.1, 0.05));
-        let uv = world.context.camera.project(&(pose * p_world)).expect("in front");
+        let uv = world
+            .context
+            .camera
+            .project(&(pose * p_world))
+            .expect("in front");
         let keyframe = world.map.keyframe_mut(third);
         keyframe.camera_from_world = pose;
         keyframe.uv_px[i] = uv;

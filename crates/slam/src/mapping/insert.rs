@@ -203,7 +203,12 @@ fn floor(c: f64) -> i32 {
     clippy::cast_sign_loss,
     reason = "float to integer saturates"
 )]
-fn explained(rendered: &Rendered<f32>, uv: &Vector2<f64>, z: f64, config: &InsertionConfig) -> bool {
+fn explained(
+    rendered: &Rendered<f32>,
+    uv: &Vector2<f64>,
+    z: f64,
+    config: &InsertionConfig,
+) -> bool {
     let (width, height) = rendered.opacity.size();
     // The last pixels of a row lie beyond the centre of the small image's last one.
     let at = |c: f64, n: usize| ((c / CHECK_STEP as f64 + 0.5) as usize).min(n.saturating_sub(1));

@@ -184,7 +184,12 @@ impl Mapper {
         if self.context.config.insertion.landmarks {
             insert_landmarks(&self.context, &mut self.gaussians, job, &pose);
         }
-        Ok(insert_depth_samples(&self.context, &mut self.gaussians, job, &pose)?)
+        Ok(insert_depth_samples(
+            &self.context,
+            &mut self.gaussians,
+            job,
+            &pose,
+        )?)
     }
 
     /// Keeps the keyframe's image to train on.

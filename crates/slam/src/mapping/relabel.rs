@@ -85,7 +85,11 @@ mod tests {
         map
     }
 
-    fn run(map: &mut GaussianMap, windows: &mut [LabelWindow], free_space: &FreeSpace) -> Vec<bool> {
+    fn run(
+        map: &mut GaussianMap,
+        windows: &mut [LabelWindow],
+        free_space: &FreeSpace,
+    ) -> Vec<bool> {
         let camera = Camera::pinhole((64, 48), [60.0, 60.0, 31.5, 23.5]).expect("valid");
         let config = LabelConfig::default();
         let pose = Se3::identity();

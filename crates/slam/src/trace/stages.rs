@@ -9,13 +9,13 @@ use garad_optim::{BundleObservation, DepthObservation, PoseObservation, PoseSolu
 use nalgebra::{Vector2, Vector3};
 
 use super::{NONE, StageRecord, matrix};
-use crate::frame::{Frame, FrameLabels};
 use crate::dynamics::evidence::DepthEvidence;
+use crate::frame::depth_planes::DepthPlanes;
+use crate::frame::{Frame, FrameLabels};
+use crate::io::FrameInput;
 use crate::map::Map;
 use crate::map::landmark::Appearance;
 use crate::mapping::job::NewLandmark;
-use crate::frame::depth_planes::DepthPlanes;
-use crate::io::FrameInput;
 
 fn id(landmark: Option<LandmarkId>) -> u32 {
     landmark.map_or(NONE, |l| l.0)

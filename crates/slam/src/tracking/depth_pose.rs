@@ -85,7 +85,9 @@ fn pose_with_depth(
     }
     let observations = (0..frame.len()).filter_map(|i| {
         let p_world = map.static_landmark(links[i]?)?.p_world;
-        context.camera.project(&(frame.camera_from_world * p_world))?;
+        context
+            .camera
+            .project(&(frame.camera_from_world * p_world))?;
         Some(PoseObservation {
             depth: None,
             ..observation(&context.config.tracking, frame, i, p_world)
@@ -286,7 +288,9 @@ mod tests {
             let Some(p_world) = keyframe.world_point(i, &world.context.camera) else {
                 continue;
             };
-            let landmark = world.map.add_landmark(p_world, id, i, &world.context.scales);
+            let landmark = world
+                .map
+                .add_landmark(p_world, id, i, &world.context.scales);
             now.landmark[i] = Some(landmark);
             if !is_body(now.px[i].x) {
                 let shift_px = world.context.camera.fx * STEP_M / f64::from(WALL_M);
@@ -344,7 +348,11 @@ mod tests {
         let (world, start, _) = in_step(config);
         let (mut plain, mut asked) = (start.clone(), start);
         let inliers = by_links(&world, &mut plain);
-        assert_eq!(refined(&world, &mut asked, MIN_SHARE_UNLABELLED), inliers, "inliers");
+        assert_eq!(
+            refined(&world, &mut asked, MIN_SHARE_UNLABELLED),
+            inliers,
+            "inliers"
+        );
         assert_eq!(plain.camera_from_world, asked.camera_from_world, "pose");
         assert_eq!(plain.landmark, asked.landmark, "links");
     }
@@ -361,7 +369,11 @@ mod tests {
         let kept: Vec<bool> = (world.map.keyframes().iter())
             .map(|k| k.depth_planes.is_some())
             .collect();
-        assert_eq!(kept, [false, false, true, true, true], "three are compared with");
+        assert_eq!(
+            kept,
+            [false, false, true, true, true],
+            "three are compared with"
+        );
         assert_eq!(recent_depth_planes(&world.map, 3).len(), 3, "of five");
     }
 }
