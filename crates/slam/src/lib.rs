@@ -24,6 +24,7 @@ pub mod mapping;
 pub mod mask;
 pub mod observer;
 mod pipeline;
+mod results;
 pub mod session;
 pub mod trace;
 pub mod tracking;
