@@ -69,9 +69,9 @@ impl Slam {
         to.put("camera", camera)?;
         to.put("configuration", config)?;
         to.put("rng_seed", rng_seed)?;
+        to.put("map", map)?;
         tracker.save(&mut to)?;
         dynamics.save(&mut to)?;
-        to.put("map", map)?;
         to.put("keyframing", keyframing)?;
         to.put("places", places)?;
         to.put("images", &images.to_saved())?;
@@ -93,9 +93,9 @@ impl Slam {
         let fresh = Self::new(camera, config, from.take("rng_seed")?, par)?;
         let context = &fresh.context;
         Ok(Self {
+            map: from.take("map")?,
             tracker: Tracker::load(&mut from)?,
             dynamics: Dynamics::load(&mut from, context)?,
-            map: from.take("map")?,
             keyframing: from.take("keyframing")?,
             places: from.take("places")?,
             images: ImageStore::from_saved(from.take("images")?),
