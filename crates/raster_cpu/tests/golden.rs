@@ -98,21 +98,21 @@ fn draw<T: Real>(scene: &Scene, render: Draw<T>) -> Rendered<T> {
         &scene.options,
         Par::Seq,
     )
-    .expect("a picture")
+    .expect("an image")
 }
 
 /// Every output under the name it has in `case.json`.
-fn outputs<T: Real>(picture: &Rendered<T>) -> Vec<(&'static str, Vec<f64>)> {
+fn outputs<T: Real>(image: &Rendered<T>) -> Vec<(&'static str, Vec<f64>)> {
     let reals = |image: &Image<T>| image.data().iter().map(|v| v.to_f64()).collect();
     let counts = |image: &Image<u32>| image.data().iter().map(|&v| f64::from(v)).collect();
-    let splats = &picture.projected;
+    let splats = &image.projected;
     let triples = |f: fn(&garad_raster::Projected<T>) -> [T; 3]| {
         splats.iter().flat_map(f).map(T::to_f64).collect()
     };
     vec![
         (
             "color",
-            picture
+            image
                 .color
                 .data()
                 .iter()
@@ -120,14 +120,11 @@ fn outputs<T: Real>(picture: &Rendered<T>) -> Vec<(&'static str, Vec<f64>)> {
                 .map(|v| v.to_f64())
                 .collect(),
         ),
-        ("depth", reals(&picture.depth)),
-        ("transmittance", reals(&picture.transmittance)),
-        ("contributors", counts(&picture.contributors)),
-        ("last", counts(&picture.last)),
-        (
-            "radii",
-            picture.radii.iter().map(|&r| f64::from(r)).collect(),
-        ),
+        ("depth", reals(&image.depth)),
+        ("transmittance", reals(&image.transmittance)),
+        ("contributors", counts(&image.contributors)),
+        ("last", counts(&image.last)),
+        ("radii", image.radii.iter().map(|&r| f64::from(r)).collect()),
         ("order", splats.iter().map(|s| f64::from(s.index)).collect()),
         (
             "mean_px",
@@ -178,8 +175,8 @@ fn check<T: Real>(case: &Case, by: &str, named: Vec<(&'static str, Vec<f64>)>) {
 #[test]
 fn forward_in_f64() {
     for case in Case::load_all("raster") {
-        let picture = draw::<f64>(&scene(&case), render);
-        check::<f64>(&case, "reference", outputs(&picture));
+        let image = draw::<f64>(&scene(&case), render);
+        check::<f64>(&case, "reference", outputs(&image));
     }
 }
 
@@ -206,13 +203,13 @@ fn gradients<T: Real>(case: &Case, render: Draw<T>, backward: Back<T>) -> Gradie
         depth: Some(image("upstream_depth")),
         opacity: Some(image("upstream_opacity")),
     };
-    let (map, picture) = (scene.map.cast::<T>(), draw(&scene, render));
+    let (map, image) = (scene.map.cast::<T>(), draw(&scene, render));
     backward(
         &map,
         &scene.camera,
         &scene.pose,
         &scene.options,
-        &picture,
+        &image,
         &upstream,
         Par::Seq,
     )

@@ -36,7 +36,7 @@ fn scene(seed: u64, n: usize, camera: &Camera, pose: &Se3) -> GaussianMap<f32> {
     map
 }
 
-/// Normal numbers where both pictures blend the same splats, 0 elsewhere; and which these are.
+/// Normal numbers where both images blend the same splats, 0 elsewhere; and which these are.
 fn upstream(seed: u64, a: &Rendered<f32>, b: &Rendered<f64>) -> (Upstream<f64>, Vec<bool>) {
     let mut rng = Rng::keyed(seed, &[5]);
     let (w, h) = a.color.size();
@@ -55,8 +55,8 @@ fn upstream(seed: u64, a: &Rendered<f32>, b: &Rendered<f64>) -> (Upstream<f64>, 
         // Rounded first: both are asked for the same.
         let mut normal = || f64::from(rng.normal().to_f32());
         up.color[at] = [normal(), normal(), normal()];
-        for picture in [&mut up.depth, &mut up.opacity] {
-            picture.as_mut().expect("given")[at] = normal();
+        for image in [&mut up.depth, &mut up.opacity] {
+            image.as_mut().expect("given")[at] = normal();
         }
     }
     (up, kept)
@@ -82,7 +82,7 @@ fn column<T: Real>(values: &[T]) -> Vec<f64> {
     values.iter().map(|v| v.to_f64()).collect()
 }
 
-/// Pictures and splats. `kept` marks the pixels that are compared.
+/// Images and splats. `kept` marks the pixels that are compared.
 fn forward<T: Real>(p: &Rendered<T>, kept: &[bool]) -> Vec<Row> {
     let only = |values: Vec<f64>| -> Vec<f64> {
         let per_pixel = values.len() / kept.len();

@@ -11,8 +11,8 @@ use crate::composite::{MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
 /// Blocks of 4 x 2 pixels in a tile: fewer of them than of rows of eight are cut by an ellipse.
 pub(crate) const BLOCKS: usize = 32;
 
-/// Splats between two looks for blocks that are finished.
-const PATIENCE: usize = 16;
+/// Splats between two searches for finished blocks.
+const SPLATS_PER_CHECK: usize = 16;
 
 /// Column and row of block i's first pixel: blocks run down the tile's first four columns, then
 /// the next four.
@@ -59,7 +59,7 @@ pub(crate) struct TilePixels {
     pub(crate) blocks: [Block; BLOCKS],
 }
 
-/// A splat as the pixels of one tile see it.
+/// A splat relative to one tile.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Seen {
     mean: [f32x8; 2],
@@ -82,7 +82,7 @@ impl Seen {
         }
     }
 
-    /// In block i: opacity e^power, what [`crate::composite`] calls density, with r = dx + (b/a) dy
+    /// In block i: opacity e^power, the density of [`crate::composite`], with r = dx + (b/a) dy
     /// and dy.
     #[inline(always)]
     pub(crate) fn density(&self, i: usize) -> (f32x8, f32x8, f32x8) {
@@ -95,7 +95,7 @@ impl Seen {
 }
 
 impl TilePixels {
-    /// Nothing has arrived yet; pixels beyond `width` x `height` are finished.
+    /// No splat blended yet; pixels beyond `width` x `height` are finished.
     fn new(width: usize, height: usize) -> Self {
         let empty = Block {
             transmittance: f32x8::ONE,
@@ -134,7 +134,7 @@ impl TilePixels {
         let sign = f32x8::splat(-0.0);
         let mut rank = f32x8::ZERO;
         for (entry, splat) in list.enumerate() {
-            if entry % PATIENCE == 0 {
+            if entry % SPLATS_PER_CHECK == 0 {
                 open = pixels.open();
                 if open == 0 {
                     break;

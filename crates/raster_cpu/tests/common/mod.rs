@@ -17,7 +17,7 @@ pub(crate) fn pose() -> Se3 {
 }
 
 /// `n` Gaussians of degree 1 in and around the view of [`camera`] at [`pose`], from specks to
-/// splats of half the picture, a fifth of them needles, a third of them dynamic.
+/// splats of half the image, a fifth of them needles, a third of them dynamic.
 pub(crate) fn map(seed: u64, n: usize) -> GaussianMap<f64> {
     let mut rng = Rng::keyed(seed, &[n as u64]);
     let camera = camera();
