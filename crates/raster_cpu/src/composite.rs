@@ -93,6 +93,7 @@ fn power<T: Real>(splat: &Projected<T>, dx: T, dy: T) -> T {
 ///
 /// The product is the transmittance T in front of splat i. The depth is the same sum with zᵢ for
 /// cᵢ. The pixel is finished before T (1 - αᵢ) < 1e-4.
+/// With [`crate::Include::StaticOnly`] the splats are the static Gaussians, as in the paper.
 ///
 /// Spec test: `spec_render`.
 pub(crate) fn composite_pixel<T: Real>(

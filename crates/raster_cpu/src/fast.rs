@@ -122,7 +122,11 @@ pub fn render(
         rendered.radii[splat.index as usize] = splat.radius_px;
     }
     rendered.projected = projected;
-    debug_assert_eq!(rendered.validate(), Ok(()), "what render promises");
+    debug_assert_eq!(
+        rendered.validate(),
+        Ok(()),
+        "the rendered images are consistent"
+    );
     Ok(rendered)
 }
 

@@ -91,6 +91,10 @@ pub fn render<T: Real>(
         radii,
         projected: splats,
     };
-    debug_assert_eq!(rendered.validate(), Ok(()), "what render promises");
+    debug_assert_eq!(
+        rendered.validate(),
+        Ok(()),
+        "the rendered images are consistent"
+    );
     Ok(rendered)
 }

@@ -3,8 +3,8 @@
 
 mod common;
 
-use common::{camera, map, pose};
-use garad_core::{Camera, GaussianMap, Image, KeyframeId, NewGaussian, Par, Real, Rng, Se3};
+use common::{GRADIENT_COST, camera, map, narrow, pose, tensors, upstream};
+use garad_core::{Camera, GaussianMap, Image, KeyframeId, NewGaussian, Par, Real, Se3};
 use garad_raster::{
     ClampGradient, Gradients, Include, RasterError, RenderOptions, Rendered, Upstream, backward,
     fast, render,
@@ -192,52 +192,11 @@ fn fast_is_the_reference_in_a_crowd() {
     assert!(flips < 35, "{flips} of 3500 pixels at a cut");
 }
 
-fn upstream(seed: u64, camera: &Camera) -> Upstream<f64> {
-    let mut rng = Rng::keyed(seed, &[1]);
-    let (w, h) = (camera.width, camera.height);
-    Upstream {
-        color: Image::from_fn(w, h, |_, _| [0; 3].map(|_| rng.normal())),
-        depth: Some(Image::from_fn(w, h, |_, _| rng.normal())),
-        opacity: Some(Image::from_fn(w, h, |_, _| rng.normal())),
-    }
-}
-
-fn narrow(up: &Upstream<f64>) -> Upstream<f32> {
-    let image = |i: &Image<f64>| i.map(|v| v.to_f32());
-    Upstream {
-        color: up.color.map(|c| c.map(Real::to_f32)),
-        depth: up.depth.as_ref().map(image),
-        opacity: up.opacity.as_ref().map(image),
-    }
-}
-
-/// Every gradient, and what f32 costs it: measured on a reference in
-/// f32 against itself in f64, largest difference by largest value, for 20 000 Gaussians.
-fn tensors<T: Real>(g: &Gradients<T>) -> Vec<(&'static str, f64, Vec<f64>)> {
-    fn flat<T: Real, const N: usize>(rows: &[[T; N]]) -> Vec<f64> {
-        rows.iter().flatten().map(|v| v.to_f64()).collect()
-    }
-    let column = |v: &[T]| v.iter().map(|v| v.to_f64()).collect();
-    vec![
-        ("means", 9.2e-6, flat(&g.means)),
-        ("log_scales", 6.2e-6, flat(&g.log_scales)),
-        ("quaternions", 7.5e-6, flat(&g.quaternions)),
-        ("opacity_logits", 7.1e-6, column(&g.opacity_logits)),
-        ("sh", 8.1e-6, flat(&g.sh)),
-        ("pose", 2.0e-5, column(&g.pose)),
-        ("means2d", 8.3e-6, flat(&g.means2d)),
-        ("conics", 8.4e-6, flat(&g.conics)),
-        ("opacities", 7.1e-6, column(&g.opacities)),
-        ("colors", 8.1e-6, flat(&g.colors)),
-        ("depths", 8.1e-6, column(&g.depths)),
-    ]
-}
-
-/// Largest difference by largest value, in units of the table, per tensor.
+/// Largest difference by largest value, in units of [`GRADIENT_COST`], per tensor.
 fn distances<A: Real, B: Real>(a: &Gradients<A>, b: &Gradients<B>) -> Vec<(&'static str, f64)> {
-    let pairs = tensors(a).into_iter().zip(tensors(b));
+    let pairs = tensors(a).into_iter().zip(tensors(b)).zip(GRADIENT_COST);
     pairs
-        .map(|((name, unit, a), (_, _, b))| {
+        .map(|(((name, a), (_, b)), unit)| {
             let largest = b.iter().fold(0.0f64, |m, v| m.max(v.abs()));
             let difference = a
                 .iter()

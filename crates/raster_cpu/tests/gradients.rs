@@ -5,7 +5,7 @@
 
 mod common;
 
-use common::{camera, map, pose};
+use common::{camera, map, pose, upstream};
 use garad_core::{Camera, GaussianMap, Image, KeyframeId, Label, NewGaussian, Par, Rng, Se3};
 use garad_raster::{
     ClampGradient, Gradients, Include, RasterError, RenderOptions, Rendered, Upstream, backward,
@@ -74,17 +74,6 @@ fn smooth_scene(seed: u64) -> Scene {
         camera,
         pose,
         options,
-    }
-}
-
-/// Normal numbers everywhere.
-fn upstream(seed: u64, camera: &Camera) -> Upstream<f64> {
-    let mut rng = Rng::keyed(seed, &[1]);
-    let (w, h) = (camera.width, camera.height);
-    Upstream {
-        color: Image::from_fn(w, h, |_, _| [0; 3].map(|_| rng.normal())),
-        depth: Some(Image::from_fn(w, h, |_, _| rng.normal())),
-        opacity: Some(Image::from_fn(w, h, |_, _| rng.normal())),
     }
 }
 

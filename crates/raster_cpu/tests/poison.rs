@@ -4,25 +4,11 @@
 
 mod common;
 
-use common::{camera, map, pose};
+use common::{Back, Draw, camera, map, pose, tensors};
 use garad_core::{Camera, GaussianMap, Image, KeyframeId, Label, NewGaussian, Par, Real, Rng, Se3};
-use garad_raster::{
-    Gradients, RasterError, RenderOptions, Rendered, Upstream, backward, fast, render,
-};
+use garad_raster::{Gradients, RenderOptions, Rendered, Upstream, backward, fast, render};
 use nalgebra::Vector3;
 use proptest::prelude::*;
-
-type Draw<T> =
-    fn(&GaussianMap<T>, &Camera, &Se3, &RenderOptions, Par) -> Result<Rendered<T>, RasterError>;
-type Back<T> = fn(
-    &GaussianMap<T>,
-    &Camera,
-    &Se3,
-    &RenderOptions,
-    &Rendered<T>,
-    &Upstream<T>,
-    Par,
-) -> Result<Gradients<T>, RasterError>;
 
 /// A rasterizer and the view it is tried on.
 struct Bench<T> {
@@ -91,32 +77,15 @@ macro_rules! for_each_form {
     }};
 }
 
-/// All gradients, flat.
-fn tensors<T: Real>(g: &Gradients<T>) -> [(&'static str, Vec<T>); 11] {
-    [
-        ("means", g.means.as_flattened().to_vec()),
-        ("log_scales", g.log_scales.as_flattened().to_vec()),
-        ("quaternions", g.quaternions.as_flattened().to_vec()),
-        ("opacity_logits", g.opacity_logits.clone()),
-        ("sh", g.sh.as_flattened().to_vec()),
-        ("pose", g.pose.to_vec()),
-        ("means2d", g.means2d.as_flattened().to_vec()),
-        ("conics", g.conics.as_flattened().to_vec()),
-        ("opacities", g.opacities.clone()),
-        ("colors", g.colors.as_flattened().to_vec()),
-        ("depths", g.depths.clone()),
-    ]
-}
-
 /// Largest absolute number in row `i` of any array.
 fn row_size<T: Real>(g: &Gradients<T>, i: usize) -> f64 {
     let n = g.means.len();
-    let rows = tensors(g).into_iter().filter(|(name, _)| *name != "pose");
+    let rows = tensors(g).into_iter().filter(|(name, _)| *name != "d_pose");
     rows.flat_map(|(_, values)| {
         let width = values.len() / n;
         values[i * width..(i + 1) * width].to_vec()
     })
-    .fold(0.0, |m, v| m.max(v.to_f64().abs()))
+    .fold(0.0, |m, v| m.max(v.abs()))
 }
 
 /// Row `n` of the map changes no pixel, no count and no other gradient.

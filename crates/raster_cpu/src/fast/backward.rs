@@ -4,7 +4,7 @@ use garad_core::Real;
 use wide::bytemuck::cast;
 use wide::{f32x4, f32x8, i32x4};
 
-use super::forward::{BLOCKS, Seen};
+use super::forward::{BLOCKS, LocalSplat};
 use super::lanes::sums;
 use super::splat::Splat;
 use crate::composite::{MAX_ALPHA, MIN_ALPHA};
@@ -13,7 +13,7 @@ use crate::splat_gradient::SplatSums;
 
 /// Upstream gradients beyond this size are masked and not multiplied by zero, lest 0 · ∞ reach
 /// splats that the pixel did not blend.
-const CALM: f32 = 1e15;
+const LARGE: f32 = 1e15;
 
 /// [`SplatSums`] in three vectors: (g, r, y, rr), (ry, yy, red, green), (blue, depth, 0, 0).
 #[derive(Debug, Clone, Copy, Default)]
@@ -80,7 +80,7 @@ pub(crate) struct TileBackward {
     /// The largest [`Block::last`] per block.
     deepest: [u32; BLOCKS],
     /// No upstream gradient is large or NaN.
-    calm: bool,
+    bounded: bool,
 }
 
 /// Rows of images that a tile starts from.
@@ -145,7 +145,7 @@ impl TileBackward {
         let mut tile = Self {
             blocks: [Block::EMPTY; BLOCKS],
             deepest: [0; BLOCKS],
-            calm: true,
+            bounded: true,
         };
         let mut size = f32x8::ZERO;
         for (pair, rows) in rows.chunks(2).enumerate() {
@@ -168,7 +168,7 @@ impl TileBackward {
                 }
             }
         }
-        tile.calm = size.to_array().iter().all(|&size| size < CALM);
+        tile.bounded = size.to_array().iter().all(|&size| size < LARGE);
         tile
     }
 
@@ -185,7 +185,7 @@ impl TileBackward {
         clamp: ClampGradient,
         put: impl FnMut(usize, &Sums),
     ) {
-        match (self.calm, clamp) {
+        match (self.bounded, clamp) {
             (true, ClampGradient::True) => {
                 self.walk::<true, true>(entries, splat_of, corner, put);
             }
@@ -201,15 +201,15 @@ impl TileBackward {
         }
     }
 
-    fn walk<'a, const CALM: bool, const CLAMP: bool>(
+    fn walk<'a, const BOUNDED: bool, const CLAMP: bool>(
         mut self,
         entries: usize,
         splat_of: impl Fn(usize) -> &'a Splat,
         corner: [f32; 2],
         mut put: impl FnMut(usize, &Sums),
     ) {
-        // A pixel that does not take has weight 0; what is not calm is masked once more.
-        let only = |mask: f32x8, value: f32x8| if CALM { value } else { mask & value };
+        // A pixel that does not take has weight 0; where gradients are not bounded, it is masked once more.
+        let only = |mask: f32x8, value: f32x8| if BOUNDED { value } else { mask & value };
         let [min_alpha, max_alpha] = [MIN_ALPHA, MAX_ALPHA].map(|v| f32x8::splat(f32::from_f64(v)));
         // Blocks ordered by the entry at which they begin; those that have begun.
         let mut waiting = [(0, 0); BLOCKS];
@@ -229,7 +229,7 @@ impl TileBackward {
             if reach == 0 {
                 continue;
             }
-            let seen = Seen::new(splat, corner);
+            let local = LocalSplat::new(splat, corner);
             let rank = f32x8::splat(entry as f32);
             let color = splat.color.map(f32x8::splat);
             let depth = f32x8::splat(splat.depth_m);
@@ -238,7 +238,7 @@ impl TileBackward {
                 let i = reach.trailing_zeros() as usize % BLOCKS;
                 reach &= reach - 1;
                 let block = &mut self.blocks[i];
-                let (density, r, dy) = seen.density(i);
+                let (density, r, dy) = local.density(i);
                 let alpha = max_alpha.fast_min(density);
                 let take = alpha.simd_ge(min_alpha) & block.last.simd_gt(rank);
                 let alpha = alpha & take;

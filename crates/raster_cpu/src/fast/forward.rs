@@ -61,7 +61,7 @@ pub(crate) struct TilePixels {
 
 /// A splat relative to one tile.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Seen {
+pub(crate) struct LocalSplat {
     mean: [f32x8; 2],
     pub(crate) shear: f32x8,
     along: f32x8,
@@ -69,7 +69,7 @@ pub(crate) struct Seen {
     opacity: f32x8,
 }
 
-impl Seen {
+impl LocalSplat {
     /// From the tile at (`x`, `y`).
     #[inline(always)]
     pub(crate) fn new(splat: &Splat, [x, y]: [f32; 2]) -> Self {
@@ -145,14 +145,14 @@ impl TilePixels {
             if reach == 0 {
                 continue;
             }
-            let seen = Seen::new(splat, corner);
+            let local = LocalSplat::new(splat, corner);
             let color = splat.color.map(f32x8::splat);
             let depth = f32x8::splat(splat.depth_m);
             while reach != 0 {
                 let i = reach.trailing_zeros() as usize % BLOCKS;
                 reach &= reach - 1;
                 let block = &mut pixels.blocks[i];
-                let (density, ..) = seen.density(i);
+                let (density, ..) = local.density(i);
                 let alpha = max_alpha.fast_min(density);
                 let visible = alpha.simd_ge(min_alpha);
                 let t = block.transmittance;
