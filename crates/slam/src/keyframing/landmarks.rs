@@ -1,12 +1,12 @@
 //! What a new keyframe does to the landmarks: it observes, makes, drops and fuses them.
 
+use garad_core::chi_square::{CHI2_2DOF_95, CHI2_3DOF_95};
 use garad_core::{KeyframeId, LandmarkId};
 
 use crate::context::Context;
 use crate::frame::Frame;
 use crate::map::{Map, by_count};
 use crate::mapping::job::NewLandmark;
-use crate::tracking::observation::{CHI2_2D, CHI2_3D};
 
 /// Adds a keyframe: its links become observations, its depth becomes landmarks, duplicates in
 /// neighbouring keyframes are fused, and unconfirmed landmarks among the `recent` ones are dropped.
@@ -155,9 +155,9 @@ pub(crate) fn fuse_into(
                 match frame.depth_m[k] {
                     Some(depth) => {
                         let disparity = bf / depth - bf / seen.depth_m;
-                        error + disparity * disparity <= CHI2_3D * sigma * sigma
+                        error + disparity * disparity <= CHI2_3DOF_95 * sigma * sigma
                     }
-                    None => error <= CHI2_2D * sigma * sigma,
+                    None => error <= CHI2_2DOF_95 * sigma * sigma,
                 }
             })
             .map(|k| (frame.descriptors[k].distance(&landmark.descriptor), k))

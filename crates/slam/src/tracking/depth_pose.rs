@@ -13,6 +13,7 @@
 //! is solved for the rest: depth chooses the minimum, keypoints give the accuracy (decision 004 says
 //! why).
 
+use garad_core::chi_square::CHI2_2DOF_95;
 use garad_core::{KeyframeId, LandmarkId, Se3};
 use garad_optim::dense::{Dense, Problem, Visitor};
 use garad_optim::lm::{Model, minimise};
@@ -20,7 +21,7 @@ use garad_optim::pose::PoseProblem;
 use garad_optim::{LmConfig, PoseObservation, RobustKernel};
 use nalgebra::{Matrix1x6, SVector, Vector6};
 
-use super::observation::{CHI2_2D, observation};
+use super::observation::observation;
 use super::pose::pose_from_links;
 use crate::context::Context;
 use crate::frame::Frame;
@@ -128,7 +129,7 @@ fn unlink_misfits(context: &Context, map: &Map, frame: &mut Frame) {
             let uv_px = context.camera.project(&p_cam);
             uv_px.is_some_and(|uv_px| {
                 let error = (uv_px - frame.uv_px[i]) / frame.sigma_px[i];
-                error.norm_squared() <= CHI2_2D
+                error.norm_squared() <= CHI2_2DOF_95
             })
         });
         if !fits {
