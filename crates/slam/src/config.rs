@@ -14,7 +14,7 @@ pub use garad_features::flow::FlowConfig;
 use serde::{Deserialize, Serialize};
 
 pub use keyframing::{CullingConfig, KeyframeConfig, LocalBaConfig, LoopConfig};
-pub use labels::{LabelConfig, PatchMotionConfig};
+pub use labels::{LabelConfig, PatchMotionConfig, TaggedLabels};
 pub use mapping::{
     DensifyConfig, InsertionConfig, Optimiser, RateConfig, ScheduleConfig, TrainConfig,
 };

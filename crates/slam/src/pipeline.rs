@@ -309,12 +309,11 @@ impl Slam {
         drop_old_depth_planes(map, id, config.depth_planes.keyframes);
         map.keyframe_mut(id).mask_depth_planes(mask.as_ref());
         observer.end(Stage::Keyframe);
-        let mut changed_labels = Vec::new();
+        let mut labels = Vec::new();
         if config.labels.enabled && input.mask.is_none() {
             observer.begin(Stage::LabelMap);
             let cells = cells.as_ref();
-            changed_labels =
-                (self.dynamics).label_keyframe(context, map, id, input.depth, cells, recorder);
+            labels = (self.dynamics).label_keyframe(context, map, id, input.depth, cells, recorder);
             observer.end(Stage::LabelMap);
         }
         if config.local_ba.enabled {
@@ -344,11 +343,14 @@ impl Slam {
                 depth: input.depth.clone(),
                 mask,
                 cells,
-                labels: changed_labels,
+                labels,
                 poses: map.keyframe_poses(),
                 moved,
                 new_landmarks: landmarks_born_in(map, id),
-                living: map.landmark_ids(),
+                living: map
+                    .landmarks()
+                    .map(|(l, landmark)| (l, landmark.label()))
+                    .collect(),
                 iterations: config.train.per_keyframe + config.train.per_frame * since_last,
             };
             self.mapping.submit(job)?;

@@ -48,11 +48,25 @@ pub struct LabelConfig {
     /// When the mask is interpolated, samples whose depth differs by more than this share belong to
     /// another object.
     pub edge_ratio: f64,
+    /// What decides the label of a tagged Gaussian.
+    pub tagged: TaggedLabels,
     /// The retention window (eq. 7).
     pub window: LabelWindowConfig,
     /// Motion of samples' patches since older images.
     #[serde(alias = "displacement")]
     pub patch_motion: PatchMotionConfig,
+}
+
+/// What decides the label of a Gaussian that is tagged with a landmark.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TaggedLabels {
+    /// Its landmark's label at a keyframe where that changed, else its own depth evidence. The two
+    /// can differ: training moves a Gaussian off its landmark.
+    #[default]
+    Evidence,
+    /// Its landmark's label, always: a landmark and its Gaussian are one thing, as in the paper.
+    Landmark,
 }
 
 /// The search for sideways motion of image patches (decision 012).
@@ -124,6 +138,7 @@ impl Default for LabelConfig {
             suspect_sigmas: 3.0,
             max_moving: 0.9,
             edge_ratio: 0.04,
+            tagged: TaggedLabels::Evidence,
             window: LabelWindowConfig::default(),
             patch_motion: PatchMotionConfig::default(),
         }

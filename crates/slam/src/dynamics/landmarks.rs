@@ -6,13 +6,24 @@ use garad_crf::{Crf, Node};
 
 use super::cues::landmark_cues;
 use super::evidence::FreeSpaceHistory;
+use super::retention::Retention;
 use crate::context::Context;
 use crate::map::Map;
 use crate::trace::Recorder;
 
+/// The label that a landmark got at a keyframe.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LandmarkLabel {
+    /// The landmark.
+    pub id: LandmarkId,
+    /// Its label.
+    pub label: Label,
+    /// Whether it was another before.
+    pub changed: bool,
+}
+
 /// Labels the landmarks that a keyframe and its neighbours observe, and is the only writer of
-/// landmark labels. Returns the landmarks whose label changed. A landmark that was dynamic in every
-/// run of the window is dropped (eq. 7).
+/// landmark labels. A landmark that was dynamic in every run of the window is dropped (eq. 7).
 pub(crate) fn label_landmarks(
     context: &Context,
     map: &mut Map,
@@ -20,7 +31,7 @@ pub(crate) fn label_landmarks(
     crf: &Crf,
     history: &FreeSpaceHistory<'_>,
     recorder: &mut Recorder,
-) -> Vec<(LandmarkId, Label)> {
+) -> Vec<LandmarkLabel> {
     let neighbours = map.covisible(keyframe).into_keys();
     let ids = map.observed_by(neighbours.chain([keyframe]));
     let frame = map.keyframe(keyframe);
@@ -50,20 +61,19 @@ pub(crate) fn label_landmarks(
     recorder.record("label_map", |record| {
         record.landmark_field(ids.iter().copied(), &nodes, &beliefs);
     });
-    let mut changed = Vec::new();
+    let mut labelled = Vec::with_capacity(ids.len());
     for (id, label) in ids.into_iter().zip(beliefs.labels) {
         let landmark = map
             .landmark_mut(id)
             .expect("nodes are landmarks of the map");
-        let retention = landmark.push_label(label, &context.config.labels.window);
-        if retention.changed {
-            changed.push((id, label));
-        }
-        if retention.expired {
+        let Retention { changed, expired } =
+            landmark.push_label(label, &context.config.labels.window);
+        labelled.push(LandmarkLabel { id, label, changed });
+        if expired {
             map.drop_landmark(id);
         }
     }
-    changed
+    labelled
 }
 
 #[cfg(test)]
@@ -87,7 +97,14 @@ mod tests {
         let crf = Crf::new(context.config.crf.clone()).expect("valid");
         let history = dynamics.history(context, map, now);
         let recorder = &mut Recorder::default();
-        label_landmarks(context, map, keyframe, &crf, &history, recorder)
+        changed(label_landmarks(
+            context, map, keyframe, &crf, &history, recorder,
+        ))
+    }
+
+    fn changed(labelled: Vec<LandmarkLabel>) -> Vec<(LandmarkId, Label)> {
+        let changed = labelled.into_iter().filter(|l| l.changed);
+        changed.map(|l| (l.id, l.label)).collect()
     }
 
     const BOX_PX: [[usize; 2]; 2] = [[48, 112], [32, 96]];
@@ -189,7 +206,7 @@ mod tests {
             ..
         } = &mut world;
         let recorder = &mut Recorder::default();
-        let changed = dynamics.label_keyframe(context, map, back, &depth, None, recorder);
+        let changed = changed(dynamics.label_keyframe(context, map, back, &depth, None, recorder));
         let left: Vec<_> = dynamics.free_space.keys().copied().collect();
         assert_eq!(left, [back], "30 frames of memory");
         let expected: Vec<_> = of_box.iter().map(|id| (*id, Label::Static)).collect();

@@ -1,10 +1,11 @@
 //! What a new keyframe does to the landmarks: it observes, makes, drops and fuses them.
 
 use garad_core::chi_square::{CHI2_2DOF_95, CHI2_3DOF_95};
-use garad_core::{KeyframeId, LandmarkId};
+use garad_core::{KeyframeId, Label, LandmarkId};
 
 use crate::context::Context;
 use crate::frame::Frame;
+use crate::map::landmark::Landmark;
 use crate::map::{Map, by_count};
 use crate::mapping::job::NewLandmark;
 
@@ -78,13 +79,14 @@ fn drop_weak_landmarks(
     });
 }
 
-/// What the mapper needs to know of the landmarks a keyframe made.
+/// What the mapper needs to know of the static landmarks a keyframe made.
 pub(crate) fn landmarks_born_in(map: &Map, id: KeyframeId) -> Vec<NewLandmark> {
     let keyframe = map.keyframe(id);
     let linked = (0..keyframe.len()).filter_map(|i| Some((i, keyframe.landmark[i]?)));
     linked
         .filter_map(|(i, landmark)| {
-            let found = map.landmark(landmark).filter(|l| l.born == id)?;
+            let born_here = |l: &&Landmark| l.born == id && l.label() == Label::Static;
+            let found = map.landmark(landmark).filter(born_here)?;
             Some(NewLandmark {
                 id: landmark,
                 p_world: found.p_world,

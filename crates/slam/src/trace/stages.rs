@@ -388,8 +388,8 @@ impl StageRecord {
     }
 
     /// What insertion reads: all landmarks of the map, and those the keyframe made.
-    pub(crate) fn landmarks(&mut self, living: &[LandmarkId], new: &[NewLandmark]) {
-        let ids: Vec<u32> = living.iter().map(|l| l.0).collect();
+    pub(crate) fn landmarks(&mut self, living: &[(LandmarkId, Label)], new: &[NewLandmark]) {
+        let ids: Vec<u32> = living.iter().map(|(l, _)| l.0).collect();
         self.input("living", "1", &[], ids);
         let ids: Vec<u32> = new.iter().map(|l| l.id.0).collect();
         self.input("new_landmark", "1", &[], ids);
