@@ -1,10 +1,10 @@
-//! The smaller stages, with their mistakes and liberties.
+//! The smaller stages, with their faults and orders of summation.
 
+use garad_conformance::Outputs;
 use garad_core::Real;
-use garad_golden::Case;
 
-use super::answers::{Out, put_f64};
-use super::second::{How, Slip, Sum};
+use super::answers::Given;
+use super::second::{Fault, How, Sum};
 
 type M3 = [[f64; 3]; 3];
 
@@ -28,52 +28,43 @@ fn hat(v: &[f64]) -> M3 {
     [[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]]
 }
 
-fn triples(case: &Case, name: &str) -> Vec<[f64; 3]> {
-    case.input(name).f64().as_chunks::<3>().0.to_vec()
+fn triples(case: Given<'_>, name: &str) -> Vec<[f64; 3]> {
+    case.reals(name).as_chunks::<3>().0.to_vec()
 }
 
-fn pairs(case: &Case, name: &str) -> Vec<[f64; 2]> {
-    case.input(name).f64().as_chunks::<2>().0.to_vec()
+fn pairs(case: Given<'_>, name: &str) -> Vec<[f64; 2]> {
+    case.reals(name).as_chunks::<2>().0.to_vec()
 }
 
-/// Both slips replace one output by a product with what the case itself expects of another.
-pub(super) fn se3(case: &Case, how: &How, out: &mut Out) {
+/// Both faults replace one output by a product with another of garad's own.
+pub(super) fn se3(case: Given<'_>, how: &How, out: &mut Outputs) {
     let rhos = triples(case, "rho");
-    if how.is(Slip::Se3LinearPartUnchanged) {
-        put_f64(out, case, "log_translation", rhos.as_flattened());
+    if how.is(Fault::Se3LinearPartUnchanged) {
+        out.put("log_translation", rhos.iter().copied());
     }
-    if how.is(Slip::Se3RotationForJacobian) {
+    if how.is(Fault::Se3RotationForJacobian) {
         // Below so small an angle the rotation stands in for the Jacobian.
-        let by = |name: &str| {
-            case.output(name)
-                .f64()
-                .chunks(9)
-                .map(matrix)
-                .collect::<Vec<_>>()
-        };
+        let of = |name: &str| out.tensors()[name].f64();
+        let by = |name: &str| of(name).chunks(9).map(matrix).collect::<Vec<_>>();
         let (r, j, phi) = (by("rotation"), by("jacobian"), triples(case, "phi"));
-        let moved = (0..rhos.len()).flat_map(|i| {
+        let moved = (0..rhos.len()).map(|i| {
             let small = phi[i].iter().map(|v| v * v).sum::<f64>() < 1e-10;
             apply(if small { &r[i] } else { &j[i] }, &rhos[i])
         });
-        put_f64(out, case, "translation", &moved.collect::<Vec<_>>());
+        out.put("translation", moved.collect::<Vec<_>>());
     }
 }
 
-pub(super) fn camera(case: &Case, how: &How, out: &mut Out) {
-    let n = |name| case.param_f64(name);
-    let [mut k1, mut k2, mut p1, mut p2, mut k3] = ["k1", "k2", "p1", "p2", "k3"].map(n);
-    match how.slip {
-        Some(Slip::CameraTangentialSwapped) => (p1, p2) = (p2, p1),
-        Some(Slip::CameraTangentialFlipped) => p1 = -p1,
-        Some(Slip::CameraRadialFirst) => (k3, p1, p2) = (p1, p2, k3),
+pub(super) fn camera(case: Given<'_>, how: &How, out: &mut Outputs) {
+    let n = |name| case.number(name);
+    let [k1, k2, mut p1, mut p2, mut k3] = ["k1", "k2", "p1", "p2", "k3"].map(n);
+    match how.fault {
+        Some(Fault::CameraTangentialSwapped) => (p1, p2) = (p2, p1),
+        Some(Fault::CameraTangentialFlipped) => p1 = -p1,
+        Some(Fault::CameraRadialFirst) => (k3, p1, p2) = (p1, p2, k3),
         _ => {}
     }
-    if how.sum == Sum::Backwards {
-        // Coefficients of the powers first: nothing changes but the rounding.
-        (k1, k2, k3) = (k1 + 0.0, k2 + 0.0, k3 + 0.0);
-    }
-    let bent = pairs(case, "pixels").into_iter().flat_map(|[u, v]| {
+    let bent = pairs(case, "pixels").into_iter().map(|[u, v]| {
         let (x, y) = ((u - n("cx")) / n("fx"), (v - n("cy")) / n("fy"));
         let mut r2 = x * x + y * y;
         let radial = match how.sum {
@@ -81,36 +72,36 @@ pub(super) fn camera(case: &Case, how: &How, out: &mut Out) {
             _ => how.sum.of(&[1.0, k1 * r2, k2 * r2 * r2, k3 * r2 * r2 * r2]),
         };
         let (mut tx, mut ty) = (x, y);
-        if how.is(Slip::CameraRadiusUpdated) {
+        if how.is(Fault::CameraRadiusUpdated) {
             (tx, ty) = (x * radial, y * radial);
             r2 = tx * tx + ty * ty;
         }
         let dx = 2.0 * p1 * tx * ty + p2 * (r2 + 2.0 * tx * tx);
-        let dy = match how.is(Slip::CameraKalibr) {
+        let dy = match how.is(Fault::CameraKalibr) {
             true => 2.0 * p1 * tx * ty + p2 * (r2 + 2.0 * ty * ty),
             false => 2.0 * p2 * tx * ty + p1 * (r2 + 2.0 * ty * ty),
         };
         let (x, y) = (x * radial + dx, y * radial + dy);
         [n("fx") * x + n("cx"), n("fy") * y + n("cy")]
     });
-    put_f64(out, case, "distorted", &bent.collect::<Vec<_>>());
+    out.put("distorted", bent);
 }
 
-pub(super) fn epipolar(case: &Case, how: &How, out: &mut Out) {
-    let k = case.input("intrinsics").f64();
+pub(super) fn epipolar(case: Given<'_>, how: &How, out: &mut Outputs) {
+    let k = case.reals("intrinsics");
     let inverse = [
         [1.0 / k[0], 0.0, -k[2] / k[0]],
         [0.0, 1.0 / k[1], -k[3] / k[1]],
         [0.0, 0.0, 1.0],
     ];
     let calibration = [[k[0], 0.0, k[2]], [0.0, k[1], k[3]], [0.0, 0.0, 1.0]];
-    let r = matrix(&case.input("rotation").f64());
-    let t = hat(&case.input("translation").f64());
-    let essential = match how.is(Slip::EpipolarOrder) {
+    let r = matrix(&case.reals("rotation"));
+    let t = hat(&case.reals("translation"));
+    let essential = match how.is(Fault::EpipolarOrder) {
         true => times(&r, &t),
         false => times(&t, &r),
     };
-    let right = match how.is(Slip::EpipolarCalibrationTransposed) {
+    let right = match how.is(Fault::EpipolarCalibrationTransposed) {
         true => transposed(&calibration),
         false => inverse,
     };
@@ -124,12 +115,7 @@ pub(super) fn epipolar(case: &Case, how: &How, out: &mut Out) {
         .iter()
         .fold(0.0f64, |a, b| if b.abs() > a.abs() { *b } else { a });
     let scale = largest.signum() / norm;
-    put_f64(
-        out,
-        case,
-        "fundamental",
-        &flat.iter().map(|v| v * scale).collect::<Vec<_>>(),
-    );
+    out.put("fundamental", flat.iter().map(|v| v * scale));
     let [mut in_1, mut in_2, mut sampson] = [const { Vec::new() }; 3];
     let other = transposed(&f);
     for (a, b) in pairs(case, "uv1").iter().zip(pairs(case, "uv2")) {
@@ -141,20 +127,20 @@ pub(super) fn epipolar(case: &Case, how: &How, out: &mut Out) {
         in_2.push(e.abs() / n2.sqrt());
         sampson.push(e * e / (n1 + n2));
     }
-    put_f64(out, case, "distance_in_1", &in_1);
-    put_f64(out, case, "distance_in_2", &in_2);
-    put_f64(out, case, "sampson", &sampson);
+    out.put("distance_in_1", in_1);
+    out.put("distance_in_2", in_2);
+    out.put("sampson", sampson);
 }
 
 /// Huber's kernel alone; the others are not touched.
-pub(super) fn robust(case: &Case, how: &How, out: &mut Out) {
-    if case.param_str("kernel") != "huber" {
+pub(super) fn robust(case: Given<'_>, how: &How, out: &mut Outputs) {
+    if case.word("kernel") != "huber" {
         return;
     }
-    let delta = case.param_f64("scale");
-    let s = case.input("s").f64();
+    let delta = case.number("scale");
+    let s = case.reals("s");
     let inside = |s: f64| s <= delta * delta;
-    let constant = if how.is(Slip::HuberWithoutConstant) {
+    let constant = if how.is(Fault::HuberWithoutConstant) {
         0.0
     } else {
         delta * delta
@@ -164,7 +150,7 @@ pub(super) fn robust(case: &Case, how: &How, out: &mut Out) {
         Sum::Forwards => 2.0 * delta * s.sqrt() - constant,
         _ => delta * (2.0 * s.sqrt() - constant / delta),
     });
-    let half = if how.is(Slip::HuberHalfWeight) {
+    let half = if how.is(Fault::HuberHalfWeight) {
         0.5
     } else {
         1.0
@@ -176,27 +162,24 @@ pub(super) fn robust(case: &Case, how: &How, out: &mut Out) {
             half * delta / s.sqrt()
         }
     });
-    put_f64(out, case, "rho", &rho.collect::<Vec<_>>());
-    put_f64(out, case, "weight", &weight.collect::<Vec<_>>());
+    out.put("rho", rho);
+    out.put("weight", weight);
 }
 
 /// Both kernels of all pairs, row by row.
-fn kernels(case: &Case, how: &How) -> [Vec<f64>; 2] {
-    let (reproj, seen) = (
-        case.input("reproj_px").f64(),
-        case.input("observations").f64(),
-    );
+fn kernels(case: Given<'_>, how: &How) -> [Vec<f64>; 2] {
+    let (reproj, seen) = (case.reals("reproj_px"), case.reals("observations"));
     let (p, uv) = (triples(case, "p_world"), pairs(case, "uv_px"));
     let sigma = |name: &str| {
-        let s = case.param_f64(name);
-        if how.is(Slip::KernelWithoutHalf) {
+        let s = case.number(name);
+        if how.is(Fault::KernelWithoutHalf) {
             s * s
         } else {
             2.0 * s * s
         }
     };
-    let terms = case.param_str("terms");
-    let linear = case.param_str("distance") == "linear";
+    let terms = case.word("terms");
+    let linear = case.word("distance") == "linear";
     let kernel = |x: f64| if x.is_nan() { 0.0 } else { Real::exp(-x) };
     let (mut k1, mut k2) = (Vec::new(), Vec::new());
     for i in 0..p.len() {
@@ -223,19 +206,19 @@ fn kernels(case: &Case, how: &How) -> [Vec<f64>; 2] {
     [k1, k2]
 }
 
-pub(super) fn kernel(case: &Case, how: &How, out: &mut Out) {
+pub(super) fn kernel(case: Given<'_>, how: &How, out: &mut Outputs) {
     let [k1, k2] = kernels(case, how);
-    put_f64(out, case, "k1", &k1);
-    put_f64(out, case, "k2", &k2);
+    out.put("k1", k1);
+    out.put("k2", k2);
 }
 
-pub(super) fn mean_field(case: &Case, how: &How, out: &mut Out) {
-    let u = case.input("log_odds").f64();
+pub(super) fn mean_field(case: Given<'_>, how: &How, out: &mut Outputs) {
+    let u = case.reals("log_odds");
     let n = u.len();
     let mut coupling = vec![0.0; n * n];
-    let weights = ["feature_weight", "position_weight"].map(|w| case.param_f64(w));
+    let weights = ["feature_weight", "position_weight"].map(|w| case.number(w));
     for (mut k, weight) in kernels(case, how).into_iter().zip(weights) {
-        if !case.param_bool("self_message") {
+        if !case.switch("self_message") {
             (0..n).for_each(|i| k[i * n + i] = 0.0);
         }
         let sums: Vec<f64> = k.chunks(n).map(|row| how.sum.of(row)).collect();
@@ -244,8 +227,8 @@ pub(super) fn mean_field(case: &Case, how: &How, out: &mut Out) {
             .map(|s| if *s > 0.0 { 1.0 / s } else { 0.0 })
             .collect();
         let kind = match (
-            case.param_str("normalisation"),
-            how.is(Slip::FieldNormalisedOtherwise),
+            case.word("normalisation"),
+            how.is(Fault::FieldNormalisedOtherwise),
         ) {
             ("rows", true) => "symmetric",
             ("symmetric", true) => "rows",
@@ -262,21 +245,25 @@ pub(super) fn mean_field(case: &Case, how: &How, out: &mut Out) {
             }
         }
     }
-    let sign = if how.is(Slip::FieldPushes) { -1.0 } else { 1.0 };
+    let sign = if how.is(Fault::FieldPushes) {
+        -1.0
+    } else {
+        1.0
+    };
     let sigmoid = |x: f64| {
         let e = Real::exp(-x.abs());
         (if x >= 0.0 { 1.0 } else { e }) / (1.0 + e)
     };
     let counts: Vec<usize> = case
-        .param_str("iterations")
+        .word("iterations")
         .split(' ')
         .map(|c| c.parse().expect("a count"))
         .collect();
-    let damping = case.param_f64("damping");
+    let damping = case.number("damping");
     let mut q: Vec<f64> = u.iter().map(|v| sigmoid(*v)).collect();
     let (mut answers, mut done) = (Vec::new(), 0);
     for count in counts {
-        let until = match how.is(Slip::FieldOneIterationLess) {
+        let until = match how.is(Fault::FieldOneIterationLess) {
             true => count.saturating_sub(1),
             false => count,
         };
@@ -294,15 +281,18 @@ pub(super) fn mean_field(case: &Case, how: &How, out: &mut Out) {
         }
         answers.extend_from_slice(&q);
     }
-    put_f64(out, case, "q", &answers);
-    let labels: Vec<f64> = q.iter().map(|q| f64::from(u8::from(*q > 0.5))).collect();
-    put_f64(out, case, "labels", &labels);
+    out.put("q", answers);
+    out.put("labels", q.iter().map(|q| *q > 0.5));
 }
 
 /// The window of SSIM: its weights from the middle out.
 fn window(how: &How) -> Vec<f64> {
-    let taps: i32 = if how.is(Slip::SsimThirteenTaps) { 6 } else { 5 };
-    let weight = |d: i32| match how.is(Slip::SsimFlatWindow) {
+    let taps: i32 = if how.is(Fault::SsimThirteenTaps) {
+        6
+    } else {
+        5
+    };
+    let weight = |d: i32| match how.is(Fault::SsimFlatWindow) {
         true => 1.0,
         false => Real::exp(-f64::from(d * d) / (2.0 * 1.5 * 1.5)),
     };
@@ -317,7 +307,7 @@ fn smooth(a: &[f64], (width, height): (usize, usize), how: &How) -> Vec<f64> {
     let half = (w.len() / 2).cast_signed();
     let along = |a: &[f64], axis: usize| -> Vec<f64> {
         let n = [width, height][axis].cast_signed();
-        let at = |i: isize| match how.is(Slip::SsimReflects) {
+        let at = |i: isize| match how.is(Fault::SsimReflects) {
             true if n > 1 => {
                 let period = 2 * (n - 1);
                 let i = i.rem_euclid(period);
@@ -347,19 +337,19 @@ fn smooth(a: &[f64], (width, height): (usize, usize), how: &How) -> Vec<f64> {
     }
 }
 
-pub(super) fn losses(case: &Case, how: &How, out: &mut Out) {
-    let kind = case.param_str("loss");
+pub(super) fn losses(case: Given<'_>, how: &How, out: &mut Outputs) {
+    let kind = case.word("loss");
     if !["ssim", "photometric"].contains(&kind) {
         return;
     }
-    let shape = case.input("rendered").shape();
+    let shape = case.tensor("rendered").shape();
     let size = (shape[1], shape[0]);
-    let (x, y) = (case.input("rendered").f64(), case.input("target").f64());
-    let keep: Vec<bool> = match case.try_input("excluded") {
+    let (x, y) = (case.reals("rendered"), case.reals("target"));
+    let keep: Vec<bool> = match case.get("excluded") {
         Some(mask) => mask.f64().iter().map(|v| *v <= 0.0).collect(),
         None => vec![true; size.0 * size.1],
     };
-    let scale = if how.is(Slip::SsimConstantsOfBytes) {
+    let scale = if how.is(Fault::SsimConstantsOfBytes) {
         255.0 * 255.0
     } else {
         1.0
@@ -393,35 +383,32 @@ pub(super) fn losses(case: &Case, how: &How, out: &mut Out) {
     let value = match kind {
         "ssim" => mean(&similar),
         _ => {
-            let lambda = case.param_f64("lambda");
+            let lambda = case.number("lambda");
             (1.0 - lambda) * mean(&apart) + lambda * (1.0 - mean(&similar))
         }
     };
-    put_f64(out, case, "value", &[value]);
+    out.put("value", [value]);
 }
 
 /// Every number by itself; a row that is not there has no moments.
-pub(super) fn adam(case: &Case, how: &How, out: &mut Out) {
-    let [b1, b2, eps] = ["beta1", "beta2", "eps"].map(|n| case.param_f64(n));
-    let (start, rates) = (
-        case.input("start").f64(),
-        case.input("learning_rates").f64(),
-    );
-    let gradients = case.input("gradients").f64();
+pub(super) fn adam(case: Given<'_>, how: &How, out: &mut Outputs) {
+    let [b1, b2, eps] = ["beta1", "beta2", "eps"].map(|n| case.number(n));
+    let (start, rates) = (case.reals("start"), case.reals("learning_rates"));
+    let gradients = case.reals("gradients");
     let n = start.len();
-    let kept = case.try_input("kept").map(|k| k.f64());
+    let kept = case.get("kept").map(|k| k.f64());
     let change = kept
         .as_ref()
-        .map_or(usize::MAX, |_| case.param_usize("change_after"));
+        .map_or(usize::MAX, |_| case.count("change_after"));
     let (mut x, mut m, mut v) = (start, vec![0.0; n], vec![0.0; n]);
     let mut path = Vec::new();
     let (mut power1, mut power2) = (1.0, 1.0);
     for (t, rate) in rates.iter().enumerate() {
         (power1, power2) = (power1 * b1, power2 * b2);
         let (mut c1, mut c2) = (1.0 - power1, 1.0 - power2);
-        match how.slip {
-            Some(Slip::AdamConstantCorrection) => (c1, c2) = (1.0 - b1, 1.0 - b2),
-            Some(Slip::AdamNoCorrection) => (c1, c2) = (1.0, 1.0),
+        match how.fault {
+            Some(Fault::AdamConstantCorrection) => (c1, c2) = (1.0 - b1, 1.0 - b2),
+            Some(Fault::AdamNoCorrection) => (c1, c2) = (1.0, 1.0),
             _ => {}
         }
         for i in 0..n {
@@ -445,9 +432,9 @@ pub(super) fn adam(case: &Case, how: &How, out: &mut Out) {
                     v[i] += (1.0 - b2) * (g * g - v[i]);
                 }
             }
-            let below = match how.slip {
-                Some(Slip::AdamEpsilonInRoot) => (v[i] / c2 + eps).sqrt(),
-                Some(Slip::AdamEpsilonScaled) => (v[i].sqrt() + eps) / c2.sqrt(),
+            let below = match how.fault {
+                Some(Fault::AdamEpsilonInRoot) => (v[i] / c2 + eps).sqrt(),
+                Some(Fault::AdamEpsilonScaled) => (v[i].sqrt() + eps) / c2.sqrt(),
                 _ if how.sum == Sum::Tree => v[i].sqrt() / c2.sqrt() + eps,
                 _ => (v[i] / c2).sqrt() + eps,
             };
@@ -455,5 +442,5 @@ pub(super) fn adam(case: &Case, how: &How, out: &mut Out) {
             path.push(x[i]);
         }
     }
-    put_f64(out, case, "path", &path);
+    out.put("path", path);
 }
