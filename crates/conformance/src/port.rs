@@ -11,8 +11,8 @@ use std::time::{Duration, Instant};
 pub const UNSUPPORTED: i32 = 77;
 /// How often a running port is looked at.
 const POLL: Duration = Duration::from_millis(2);
-/// So much of what a port said is repeated.
-const LAST_WORDS: usize = 400;
+/// So many bytes of a port's output are repeated.
+const TAIL_BYTES: usize = 400;
 /// What a port prints goes here, in the folder of its outputs.
 const LOG: &str = "port.log";
 
@@ -23,7 +23,7 @@ pub enum Ended {
     Done,
     /// Exit code 77.
     Unsupported,
-    /// Another exit code, or a signal; with its last words.
+    /// Another exit code, or a signal; with the end of its output.
     Crash(String),
     /// Still running after this time, and ended.
     Timeout(String),
@@ -98,9 +98,9 @@ pub fn run(words: &[String], job: Job<'_>, timeout: Duration) -> io::Result<Ende
             // It may have ended in between; then there is nothing to kill.
             let _ = child.kill();
             child.wait()?;
-            let words = last_words(&log);
+            let tail = tail(&log);
             return Ok(Ended::Timeout(format!(
-                "still running after {} s{words}",
+                "still running after {} s{tail}",
                 timeout.as_secs_f64()
             )));
         }
@@ -113,14 +113,14 @@ fn ended(status: ExitStatus, log: &Path) -> Ended {
     match status.code() {
         Some(0) => Ended::Done,
         Some(UNSUPPORTED) => Ended::Unsupported,
-        _ => Ended::Crash(format!("{status}{}", last_words(log))),
+        _ => Ended::Crash(format!("{status}{}", tail(log))),
     }
 }
 
 /// `: ...`, the end of what it printed, on one line.
-fn last_words(log: &Path) -> String {
+fn tail(log: &Path) -> String {
     let bytes = std::fs::read(log).unwrap_or_default();
-    let tail = &bytes[bytes.len().saturating_sub(LAST_WORDS)..];
+    let tail = &bytes[bytes.len().saturating_sub(TAIL_BYTES)..];
     let text = String::from_utf8_lossy(tail);
     let lines: Vec<&str> = text
         .lines()
@@ -151,6 +151,6 @@ mod tests {
             "quotes"
         );
         assert_eq!(words("a'b c'd"), ["ab cd"], "inside a word");
-        assert!(split("  ").is_err() && split("a 'b").is_err(), "slips");
+        assert!(split("  ").is_err() && split("a 'b").is_err(), "mistakes");
     }
 }

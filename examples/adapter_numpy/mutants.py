@@ -1,8 +1,8 @@
-"""Slips that ports make, each put into the adapter: every one must fail, and first at its own stage. Below them,
-changes that are legal and must pass.
+"""Mutants of this port, each with a mistake that ports have: every one must fail, and first at its own stage. Below
+them, changes that are legal and must pass.
 
-    python3 examples/adapter_numpy/slips.py            (a minute; garad must be built)
-    python3 examples/adapter_numpy/slips.py half_pixel --show
+    python3 examples/adapter_numpy/mutants.py            (a minute; garad must be built)
+    python3 examples/adapter_numpy/mutants.py half_pixel --show
 
 GARAD names the program, else target/release/garad, target/debug/garad or the one in the PATH is taken.
 """
@@ -26,7 +26,7 @@ import render
 import splats
 
 F = np.float32
-FITS = "fits, if this slip is undone: "
+FITS = "fits, if this mistake is undone: "
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 
@@ -166,7 +166,7 @@ def truncated_window():
 
 
 def sums_backwards():
-    """Pictures and their gradients added from the last pixel on."""
+    """Images and their gradients added from the last pixel on."""
     def turned(f):
         def g(tape, s, background, *up):
             flip = lambda a: a[::-1, ::-1].copy()
@@ -194,7 +194,7 @@ def plain_power():
     swap(render, "blend", plain)
 
 
-SLIPS = {
+MUTANTS = {
     half_pixel: "raster", no_dilation: "projection_covariance", quaternion_order: "projection_covariance",
     transposed_rotation: "projection_covariance", world_for_camera: "projection_covariance", principal_point: "projection_covariance",
     no_clamp: "projection_covariance", sh_sign: "sh", sh_order: "sh", sort_by_distance: "raster", sort_in_half: "raster",
@@ -215,7 +215,7 @@ def program():
 
 
 def judged(name):
-    """The verdicts on the adapter with one slip, in a process of its own."""
+    """The verdicts on one mutant, in a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run([sys.executable, __file__, "--answer", name, folder], check=True)
         stages = [word for stage in adapter.STAGES for word in ("--stage", stage)]
@@ -239,11 +239,11 @@ def answer_all(name, folder):
 
 
 def main():
-    asked = [f for f in [*SLIPS, *LEGAL] if not sys.argv[1:] or f.__name__ in sys.argv[1:]]
+    asked = [f for f in [*MUTANTS, *LEGAL] if not sys.argv[1:] or f.__name__ in sys.argv[1:]]
     right = True
-    print(f"{'slip':30} {'belongs to':22} {'first to fail':22} named as")
-    for slip in asked:
-        ended, report = judged(slip.__name__)
+    print(f"{'mutant':30} {'belongs to':22} {'first to fail':22} named as")
+    for mutant in asked:
+        ended, report = judged(mutant.__name__)
         if "--show" in sys.argv:
             print(ended.stdout)
         failed = [case for case in report["cases"] if case["verdict"] != "pass"]
@@ -251,9 +251,9 @@ def main():
         notes = [o["note"] for case in failed for o in case["outputs"] if o["verdict"] != "pass" and o["note"]]
         marks = [n for n in notes if n.startswith(FITS)] or notes
         note = marks[0].removeprefix(FITS) if marks else ""
-        expected = SLIPS.get(slip, "none")
+        expected = MUTANTS.get(mutant, "none")
         right &= first == expected
-        print(f"{slip.__name__:30} {expected:22} {first:22} {note}{'' if first == expected else '  <-- NOT AS IT SHOULD BE'}", flush=True)
+        print(f"{mutant.__name__:30} {expected:22} {first:22} {note}{'' if first == expected else '  <-- NOT AS IT SHOULD BE'}", flush=True)
     sys.exit(0 if right else 1)
 
 
