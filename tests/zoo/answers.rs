@@ -21,6 +21,10 @@ impl<'a> Given<'a> {
         self.tensor(name).f64()
     }
 
+    pub(crate) fn rows<const N: usize>(self, name: &str) -> Vec<[f64; N]> {
+        self.0.rows(name).expect("an input of the stage")
+    }
+
     pub(crate) fn number(self, name: &str) -> f64 {
         self.0.number(name).expect("a parameter of the stage")
     }

@@ -1,8 +1,8 @@
 //! From splats to images and back, by the formulas of docs/math.md R8 to R14.
 
 use super::number::{N, rough_exp};
-use super::raster::{Density, Fault, How, Walk};
-use super::splats::{ByPixel, CELL, Splat};
+use super::rendering::{CELL, Density, Fault, How, Walk};
+use super::splats::{ByPixel, Splat};
 
 const MIN_ALPHA: f64 = 1.0 / 255.0;
 const MAX_ALPHA: f64 = 0.99;

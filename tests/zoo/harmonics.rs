@@ -1,7 +1,7 @@
 //! Colour by spherical harmonics: each function is a polynomial, and its gradient follows from that.
 
 use super::number::N;
-use super::raster::{Fault, How};
+use super::rendering::{Fault, How};
 
 /// (coefficient, powers of x, y, z), by function.
 type Polynomial = &'static [(f64, [u32; 3])];

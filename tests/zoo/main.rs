@@ -8,29 +8,36 @@ mod answers;
 mod blend;
 mod corners;
 mod faults;
-mod formulas;
+mod field;
+mod geometry;
 mod harmonics;
 mod number;
 mod paths;
 mod raster;
+mod rendering;
+mod reprojection;
 mod second;
 mod splats;
+mod stages;
 mod tracks;
+mod training;
 
 use std::fmt::Debug;
 
 use answers::{Given, shaped};
 use faults::FaultyPort;
 use garad_conformance::Outputs;
+use garad_golden::Case;
 use garad_golden::judge::{Answers, judge};
 use garad_golden::verdict::{CaseVerdict, Outcome};
-use garad_golden::{Case, stages};
-use raster::{Density, Renderer, Walk};
+use raster::Renderer;
+use rendering::{Density, How, Walk};
+use second::Sum;
 
 fn cases(of: &[&str]) -> Vec<Case> {
     let mut cases = Case::load_root(&Case::root()).expect("committed");
     cases.retain(|c| of.contains(&c.stage()));
-    cases.sort_by_key(|c| (stages::rank(c.stage()), c.name()));
+    cases.sort_by_key(|c| (garad_golden::stages::rank(c.stage()), c.name()));
     cases
 }
 
@@ -74,7 +81,7 @@ fn every_faulty_renderer_is_caught_at_its_stage() {
         let case: &Case = &cases[i];
         shaped(case, &Renderer::faulty(fault).answer(Given(case.inputs())))
     };
-    let wrong = escaped(raster::FAULTY_PORTS.iter(), &cases, answer);
+    let wrong = escaped(rendering::FAULTY_PORTS.iter(), &cases, answer);
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
@@ -94,7 +101,7 @@ fn renderers() -> Vec<Renderer> {
         for density in [Density::Plain, Density::Product, Density::Slanted] {
             for exp_ulp in [0, 2, 4] {
                 for (fma, ftz) in [(false, false), (true, false), (false, true), (true, true)] {
-                    let how = raster::How {
+                    let how = How {
                         fault: None,
                         walk,
                         density,
@@ -130,7 +137,7 @@ fn with_own(group: &[&str]) -> (Vec<Case>, Vec<Outputs>) {
     let cases = cases(group);
     let own = cases
         .iter()
-        .map(|case| second::own(case.inputs()))
+        .map(|case| stages::own(case.inputs()))
         .collect();
     (cases, own)
 }
@@ -138,15 +145,15 @@ fn with_own(group: &[&str]) -> (Vec<Case>, Vec<Outputs>) {
 #[test]
 fn every_faulty_formula_is_caught_at_its_stage() {
     let mut wrong = Vec::new();
-    for group in second::GROUPS {
+    for group in stages::GROUPS {
         let (cases, own) = with_own(group);
         let answer = |i: usize, fault| {
             let how = second::How {
                 fault: Some(fault),
-                sum: second::Sum::Forwards,
+                sum: Sum::Forwards,
             };
             let case: &Case = &cases[i];
-            shaped(case, &second::answer(Given(case.inputs()), &own[i], &how))
+            shaped(case, &stages::answer(Given(case.inputs()), &own[i], &how))
         };
         let ports = second::FAULTY_PORTS.iter();
         let ports = ports.filter(|port| group.contains(&port.stage));
@@ -157,16 +164,12 @@ fn every_faulty_formula_is_caught_at_its_stage() {
 
 #[test]
 fn formulas_summed_otherwise_pass() {
-    for group in second::GROUPS {
+    for group in stages::GROUPS {
         let (cases, own) = with_own(group);
-        for sum in [
-            second::Sum::Forwards,
-            second::Sum::Backwards,
-            second::Sum::Tree,
-        ] {
+        for sum in [Sum::Forwards, Sum::Backwards, Sum::Tree] {
             let how = second::How { fault: None, sum };
             let verdicts = cases.iter().zip(&own).map(|(case, own)| {
-                let out = second::answer(Given(case.inputs()), own, &how);
+                let out = stages::answer(Given(case.inputs()), own, &how);
                 judge(case, &shaped(case, &out), false)
             });
             let bad = failed(verdicts);
@@ -178,7 +181,7 @@ fn formulas_summed_otherwise_pass() {
 /// What the suite is for: mistakes that people have made.
 #[test]
 fn most_faults_have_been_reported_of_real_programs() {
-    let raster = raster::FAULTY_PORTS.iter().map(|p| p.report);
+    let raster = rendering::FAULTY_PORTS.iter().map(|p| p.report);
     let second = second::FAULTY_PORTS.iter().map(|p| p.report);
     let reports: Vec<&str> = raster.chain(second).collect();
     let real = reports.iter().filter(|r| **r != "port").count();

@@ -1,12 +1,6 @@
-//! Stages written a second time from their definitions, in f64 or as the case asks: their faults, their orders of
-//! summation, and where each is written.
+//! How a stage that is written a second time computes: its faults, and its order of summation.
 
-use garad_conformance::{Outputs, Width};
-use garad_golden::Inputs;
-
-use super::answers::Given;
 use super::faults::faults;
-use super::{adjust, corners, formulas, paths, tracks};
 
 faults! {
     "se3" {
@@ -186,55 +180,4 @@ impl How {
     pub(crate) fn is(&self, fault: Fault) -> bool {
         self.fault == Some(fault)
     }
-}
-
-/// Stages by the file they are written in: a fault of one file leaves the others as they are.
-pub(crate) const GROUPS: [&[&str]; 5] = [
-    &[
-        "se3",
-        "camera",
-        "epipolar",
-        "robust",
-        "kernel",
-        "mean_field",
-        "losses",
-        "adam",
-    ],
-    &["fast", "orb", "matching"],
-    &["lk"],
-    &["reprojection", "pose_lm", "bundle"],
-    &["trajectory", "label_window"],
-];
-
-/// garad's own answer, for what a stage is not written a second time for.
-pub(crate) fn own(inputs: &Inputs) -> Outputs {
-    let own = garad_conformance::answer(inputs, Width::F64).expect("a sound case");
-    own.expect("a stage of garad")
-}
-
-/// The stage's answer over garad's own.
-pub(crate) fn answer(case: Given<'_>, own: &Outputs, how: &How) -> Outputs {
-    let mut out = own.clone();
-    let stage = match case.0.stage() {
-        "se3" => formulas::se3,
-        "camera" => formulas::camera,
-        "epipolar" => formulas::epipolar,
-        "robust" => formulas::robust,
-        "kernel" => formulas::kernel,
-        "mean_field" => formulas::mean_field,
-        "losses" => formulas::losses,
-        "adam" => formulas::adam,
-        "fast" => corners::fast,
-        "orb" => corners::orb,
-        "matching" => corners::matching,
-        "lk" => tracks::lucas_kanade,
-        "reprojection" => adjust::reprojection,
-        "pose_lm" => adjust::pose,
-        "bundle" => adjust::bundle,
-        "trajectory" => paths::trajectory,
-        "label_window" => paths::label_window,
-        other => unreachable!("{other} is in no group"),
-    };
-    stage(case, how, &mut out);
-    out
 }

@@ -2,12 +2,11 @@
 
 use super::harmonics::{basis, tangent_gradient};
 use super::number::{Mat, N, apply, cross, dot, transposed};
-use super::raster::{Fault, How};
+use super::rendering::{Fault, How};
 
 const NEAR_M: f64 = 0.2;
 const BLUR_PX2: f64 = 0.3;
 const CLAMP: f64 = 1.3;
-pub(crate) const CELL: i64 = 16;
 
 /// Rows as a case has them.
 #[derive(Debug, Clone, Default)]

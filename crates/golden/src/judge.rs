@@ -1,4 +1,4 @@
-//! [`judge`]: the verdict on a case, given somebody's outputs.
+//! [`judge`]: the verdict on a case, given a backend's outputs.
 //!
 //! An answer in f32 where f64 is expected is held to the tolerance of f32 ([`tol::for_f32`]). If
 //! the case has an input `robust`, it says which pixels are away from every cut; there an answer in f32 is
@@ -17,7 +17,7 @@ use crate::tensor::{Dtype, Tensor};
 use crate::tol::{self, Class};
 use crate::verdict::{CaseVerdict, Outcome, OutputVerdict, Verdict};
 
-/// Somebody's outputs by name; a text where a file is there and cannot be used.
+/// A backend's outputs by name; a text where a file is there and cannot be used.
 pub type Answers = BTreeMap<String, Result<Tensor, String>>;
 
 /// Reads `OUTPUT.npy` for every output of a case; a file that is not there is no answer.
