@@ -12,7 +12,8 @@ use clap::{Args, Subcommand, ValueEnum};
 use garad::progress;
 use garad_conformance::port::{self, Ended, Job};
 use garad_conformance::{Outputs, Width};
-use garad_golden::judge::{judge, read_answers};
+use garad_golden::answers::read_answers;
+use garad_golden::judge::judge;
 use garad_golden::verdict::{CaseVerdict, Outcome};
 use garad_golden::{Case, npy, report, stages};
 

@@ -1,7 +1,7 @@
 //! What a port is given, and its answers as the judge takes them.
 
 use garad_conformance::Outputs;
-use garad_golden::judge::Answers;
+use garad_golden::answers::Answers;
 use garad_golden::{Case, Inputs, Tensor};
 
 /// The inputs of a case. One that lacks something is a mistake of this test.

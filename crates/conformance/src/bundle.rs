@@ -8,8 +8,8 @@ use garad_optim::{
 use nalgebra::{Matrix6, Vector3};
 
 use crate::convert::{poses, vectors};
+use crate::outputs::{Answer, Error, Outputs};
 use crate::poses::{camera, put_poses, right};
-use crate::{Answer, Error, Outputs};
 
 /// Poses, points, and how the adjustment went.
 type Adjusted = (Vec<Se3>, Vec<Vector3<f64>>, Report);

@@ -4,7 +4,7 @@ use garad_core::{GrayImage, Image, Label, Real, Se3, So3};
 use garad_golden::{InputError, Inputs};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-use crate::Error;
+use crate::outputs::Error;
 
 pub(crate) fn reals<T: Real>(inputs: &Inputs, name: &str) -> Result<Vec<T>, InputError> {
     Ok(inputs.reals(name)?.into_iter().map(T::from_f64).collect())

@@ -12,7 +12,7 @@ use garad_features::{
 use garad_golden::{InputError, Inputs};
 
 use crate::convert::{gray, has};
-use crate::{Answer, Error, Outputs};
+use crate::outputs::{Answer, Error, Outputs};
 
 pub(crate) fn pyramid(inputs: &Inputs) -> Answer {
     let image = gray(inputs, "image")?;

@@ -9,7 +9,7 @@ use garad_crf::{
 use garad_golden::Inputs;
 
 use crate::convert::{codes, labels, vectors};
-use crate::{Answer, Error, Outputs};
+use crate::outputs::{Answer, Error, Outputs};
 
 /// NaN stands for what is missing.
 fn number(x: f64) -> Option<f64> {

@@ -5,7 +5,7 @@ use garad_golden::Inputs;
 use nalgebra::{Vector2, Vector3, Vector6};
 
 use crate::convert::{matrix, vectors};
-use crate::{Answer, Error, Outputs};
+use crate::outputs::{Answer, Error, Outputs};
 
 pub(crate) fn se3(inputs: &Inputs) -> Answer {
     let (phis, rhos) = (vectors::<3>(inputs, "phi")?, vectors::<3>(inputs, "rho")?);

@@ -9,7 +9,7 @@ use garad_golden::{Dtype, Inputs};
 use nalgebra::Vector3;
 
 use crate::convert::{channels, gray_if_there, matrix, plane, rotation, vectors};
-use crate::{Answer, Error, Outputs};
+use crate::outputs::{Answer, Error, Outputs};
 
 const ALIGNMENTS: [(&str, Alignment); 3] = [
     ("none", Alignment::None),

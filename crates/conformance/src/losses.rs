@@ -6,8 +6,7 @@ use garad_raster::RasterError;
 use garad_raster::losses::{PictureLoss, depth_l1, l1, opacity_penalty};
 
 use crate::convert::{channels, gray_if_there, labels, plane, reals};
-use crate::outputs::Element;
-use crate::{Answer, Outputs};
+use crate::outputs::{Answer, Element, Outputs};
 
 type Found<T> = Result<PictureLoss<T>, RasterError>;
 type Ssim<T> = fn(&Image<[T; 3]>, &Image<[T; 3]>, Option<&MaskImage>, Par) -> Found<T>;

@@ -3,8 +3,14 @@
 use std::collections::BTreeMap;
 
 use garad_core::Image;
-use garad_golden::judge::Answers;
+use garad_golden::answers::Answers;
 use garad_golden::{Dtype, Tensor};
+
+/// Why a stage cannot be given a case.
+pub type Error = Box<dyn std::error::Error + Send + Sync>;
+
+/// What a stage makes of its inputs.
+pub type Answer = Result<Outputs, Error>;
 
 /// The outputs of a stage.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -11,7 +11,7 @@ use garad_optim::{
 use nalgebra::{Vector2, Vector3};
 
 use crate::convert::{has, matrix, poses, vectors};
-use crate::{Answer, Error, Outputs};
+use crate::outputs::{Answer, Error, Outputs};
 
 pub(crate) fn camera(inputs: &Inputs) -> Result<Camera, Error> {
     let n = |name| inputs.number(name);

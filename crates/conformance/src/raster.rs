@@ -8,8 +8,7 @@ use garad_raster::{
 use nalgebra::{Matrix3, Vector3};
 
 use crate::convert::{channels, has, matrix, plane, reals, rotation, rows};
-use crate::outputs::Element;
-use crate::{Answer, Error, Outputs};
+use crate::outputs::{Answer, Element, Error, Outputs};
 
 type Draw<T> =
     fn(&GaussianMap<T>, &Camera, &Se3, &RenderOptions, Par) -> Result<Rendered<T>, RasterError>;

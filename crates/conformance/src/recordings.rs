@@ -8,7 +8,7 @@ use garad_dataset::{Dataset, OpenOptions, PlyOptions, associate, bonn_camera_fro
 use garad_golden::Inputs;
 
 use crate::convert::{matrix, rotation, vectors};
-use crate::{Answer, Outputs};
+use crate::outputs::{Answer, Outputs};
 
 /// The recording of the stage `decode`.
 const RECORDING: &str = "tum_fr1_desk_9";

@@ -7,9 +7,8 @@ use garad_raster::losses::{depth_l1, opacity_penalty, photometric};
 use garad_raster::{Gradients, Include, RenderOptions, Upstream};
 
 use crate::convert::{channels, gray, has, labels, plane, reals};
-use crate::outputs::Element;
+use crate::outputs::{Answer, Element, Error, Outputs};
 use crate::raster::{Engine, camera, map, pose, put_gradients};
-use crate::{Answer, Error, Outputs};
 
 fn adam_config(inputs: &Inputs) -> Result<AdamConfig, InputError> {
     Ok(AdamConfig {

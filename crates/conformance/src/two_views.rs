@@ -8,7 +8,7 @@ use garad_golden::{InputError, Inputs};
 use nalgebra::{Matrix3, Vector3};
 
 use crate::convert::{has, matrix, vectors};
-use crate::{Answer, Outputs};
+use crate::outputs::{Answer, Outputs};
 
 /// F has neither scale nor sign: it is brought to norm 1 with its largest entry positive.
 pub(crate) fn epipolar(inputs: &Inputs) -> Answer {

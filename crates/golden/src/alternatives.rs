@@ -6,8 +6,8 @@
 
 use std::borrow::Cow;
 
+use crate::answers::Answers;
 use crate::case::Case;
-use crate::judge::Answers;
 use crate::tensor::Tensor;
 
 /// Stage and flag of the cases that may be answered so, and the largest number of solutions.

@@ -6,7 +6,7 @@
 //!
 //! Reading order: [`tensor`] (typed arrays) → [`npy`] (their files) → [`inputs`] (what a stage is given) →
 //! [`case`] (the folder) → [`tol`] (the one table of tolerances) → [`compare`](mod@compare) (one tensor) →
-//! [`judge`](mod@judge) and [`verdict`] (one case) → [`explain`](mod@explain) (which mistake it is) → [`stages`]
+//! [`answers`], [`judge`](mod@judge) and [`verdict`] (one case) → [`explain`](mod@explain) (which mistake it is) → [`stages`]
 //! (which stage needs which) → [`report`]; [`trace`] (whole frames, stage by stage).
 //!
 //! # Example
@@ -18,6 +18,7 @@
 //! ```
 
 mod alternatives;
+pub mod answers;
 pub mod case;
 pub mod compare;
 pub mod error;

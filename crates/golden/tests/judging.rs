@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use garad_golden::judge::{Answers, judge, read_answers};
+use garad_golden::answers::{Answers, read_answers};
+use garad_golden::judge::judge;
 use garad_golden::verdict::{Outcome, Verdict};
 use garad_golden::{Case, Dtype, Tensor, npy, report};
 use serde_json::{Value, json};
