@@ -7,6 +7,7 @@
 //! Reading order for the method itself: [`core`] → [`features`] → [`optim`] → [`crf`] → [`raster`]
 //! → [`slam`]; `ARCHITECTURE.md` has the map.
 
+pub use garad_conformance as conformance;
 pub use garad_core as core;
 pub use garad_crf as crf;
 pub use garad_dataset as dataset;
@@ -19,7 +20,6 @@ pub use garad_slam as slam;
 pub use garad_synth as synth;
 
 pub mod config_file;
-pub mod conformance;
 pub mod output;
 pub mod packed_labels;
 pub mod pictures;

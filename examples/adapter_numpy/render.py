@@ -1,5 +1,5 @@
-"""From splats to pictures and back (the book: splatting.md, backward.md). Every splat meets every pixel: no tiles, no
-early way out, sums over whole pictures in numpy's order."""
+"""From splats to images and back (the book: splatting.md, backward.md). Every splat meets every pixel: no tiles, no
+early stop, sums over whole images in numpy's order."""
 
 import numpy as np
 
@@ -26,7 +26,7 @@ def is_last(behind):
 
 
 def blend(splats, size, background, tape=None):
-    """Front to back; `tape` keeps what the way back needs."""
+    """Front to back; `tape` keeps what the backward pass needs."""
     x, y = pixel_grid(size)
     columns, rows = np.arange(size[0]), np.arange(size[1])[:, None]
     shape = (size[1], size[0])

@@ -20,10 +20,10 @@ def stage(case):
         keep, tape = case[f"excluded_{step}"] == 0, []
         s = sp.paint(sp.project(now, camera), now, camera)
         s["visible"] = s["visible"] & (dynamic == 0)
-        picture = render.blend(s, camera["size"], case["background"], tape)
-        opacity = 1 - picture["transmittance"]
-        photo, by_color = losses.photometric(picture["color"], case[f"target_{step}"], p["lambda_ssim"], keep)
-        depth, by_depth, by_opacity = losses.depth(picture["depth"], opacity, case[f"measured_{step}"], p["min_opacity"], keep)
+        image = render.blend(s, camera["size"], case["background"], tape)
+        opacity = 1 - image["transmittance"]
+        photo, by_color = losses.photometric(image["color"], case[f"target_{step}"], p["lambda_ssim"], keep)
+        depth, by_depth, by_opacity = losses.depth(image["depth"], opacity, case[f"measured_{step}"], p["min_opacity"], keep)
         penalty, by_logit = losses.penalty(now["opacity_logits"], dynamic)
         g = render.blend_backward(tape, s, case["background"], F(p["lambda_photometric"]) * by_color,
                                   F(p["lambda_depth"]) * by_depth, F(p["lambda_depth"]) * by_opacity, False)

@@ -1,4 +1,4 @@
-"""Gaussians to splats to pictures (the book, chapter 9), every splat against every pixel. Nothing here is
+"""Gaussians to splats to images (the book, chapter 9), every splat against every pixel. Nothing here is
 a gradient: autograd finds them all."""
 
 import torch
@@ -127,18 +127,18 @@ def projection_stage(case):
 
 
 def forward_stage(case):
-    s, picture = render({name: case[name] for name in NAMES}, camera_of(case), case["background"])
-    order = picture.pop("order")
+    s, image = render({name: case[name] for name in NAMES}, camera_of(case), case["background"])
+    order = image.pop("order")
     rows = {"mean_px": "mean_px", "depth_m": "depth_m", "conic": "conic", "splat_color": "color"}
-    return {**picture, "radii": s["radius"], "order": order.int(), **{name: s[field][order] for name, field in rows.items()}}
+    return {**image, "radii": s["radius"], "order": order.int(), **{name: s[field][order] for name, field in rows.items()}}
 
 
 def backward_stage(case):
     g, xi = {name: case[name].requires_grad_() for name in NAMES}, torch.zeros(6, requires_grad=True)
     pass_through = case.params["clamp_gradient"] == "pass_through"
-    s, picture = render(g, camera_of(case, xi=xi), case["background"], pass_through)
-    loss = (case["upstream_color"] * picture["color"]).sum() + (case["upstream_depth"] * picture["depth"]).sum()
-    loss = loss + (case["upstream_opacity"] * (1 - picture["transmittance"])).sum()
+    s, image = render(g, camera_of(case, xi=xi), case["background"], pass_through)
+    loss = (case["upstream_color"] * image["color"]).sum() + (case["upstream_depth"] * image["depth"]).sum()
+    loss = loss + (case["upstream_opacity"] * (1 - image["transmittance"])).sum()
     loss = loss + 0 * xi.sum()          # an empty map leaves no path to anything
     wanted = {"d_" + name: g[name] for name in NAMES} | {
         "d_pose": xi, "d_means2d": s["mean_px"], "d_conics": s["d_conic"], "d_opacities": s["opacity"],

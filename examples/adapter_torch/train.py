@@ -47,9 +47,9 @@ def stage(case):
         camera, keep = splat.camera_of(case, f"_{step}"), case[f"excluded_{step}"] == 0
         s = splat.paint(splat.project(g, camera), g, camera)
         s["visible"] = s["visible"] & (dynamic == 0)
-        picture = splat.blend(s, camera["size"], case["background"])
-        loss = p["lambda_photometric"] * losses.photometric(picture["color"], case[f"target_{step}"], p["lambda_ssim"], keep)
-        loss = loss + p["lambda_depth"] * losses.depth(picture["depth"], 1 - picture["transmittance"],
+        image = splat.blend(s, camera["size"], case["background"])
+        loss = p["lambda_photometric"] * losses.photometric(image["color"], case[f"target_{step}"], p["lambda_ssim"], keep)
+        loss = loss + p["lambda_depth"] * losses.depth(image["depth"], 1 - image["transmittance"],
                                                        case[f"measured_{step}"], p["min_opacity"], keep)
         loss = loss + p["lambda_dynamic"] * losses.penalty(g["opacity_logits"], dynamic)
         for optimiser in optimisers.values():

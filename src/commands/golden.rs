@@ -9,10 +9,12 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand, ValueEnum};
-use garad::conformance::own::{self, Width};
-use garad::conformance::port::{self, Ended, Job};
 use garad::progress;
-use garad_golden::judge::{Answers, CaseVerdict, Outcome, judge, read_answers};
+use garad_conformance::port::{self, Ended, Job};
+use garad_conformance::{Outputs, Width};
+use garad_golden::answers::read_answers;
+use garad_golden::judge::judge;
+use garad_golden::verdict::{CaseVerdict, Outcome};
 use garad_golden::{Case, npy, report, stages};
 
 use super::{make_folder, say};
@@ -154,7 +156,7 @@ impl Filter {
             .filter(|c| asked(&self.stage, c.stage()) && asked(&self.name, c.case()))
             .filter(|c| {
                 let tag = self.tag.as_deref();
-                tag.is_none_or(|tag| c.has_flag(tag) || c.basis() == tag)
+                tag.is_none_or(|tag| c.inputs().has_flag(tag) || c.basis() == tag)
             })
             .collect();
         if cases.is_empty() {
@@ -173,21 +175,28 @@ fn default_root() -> Result<PathBuf> {
     found.context("tests/golden: no such folder; start in a checkout, or name it with --cases")
 }
 
-/// Exit code 77 for a stage that is not among [`own::STAGES`], as for any port.
+/// The outputs of this project's own stage, which sees the inputs alone.
+fn own(case: &Case, width: Width) -> Result<Option<Outputs>> {
+    garad_conformance::answer(case.inputs(), width).map_err(anyhow::Error::from_boxed)
+}
+
+/// Exit code 77 for a stage that is not ours, as for any port.
 fn answer(args: &AnswerArgs) -> Result<ExitCode> {
     let case = Case::load(&args.case)?;
-    let Some(answers) = own::answers(&case, args.width.into())? else {
-        let known = own::STAGES.join(", ");
-        progress::note(&format!("{}: not one of {known}", case.stage()));
+    let Some(outputs) = own(&case, args.width.into())? else {
+        let known: Vec<&str> = garad_conformance::STAGES.iter().map(|s| s.0).collect();
+        progress::note(&format!(
+            "{}: not one of {}",
+            case.stage(),
+            known.join(", ")
+        ));
         return Ok(ExitCode::from(UNSUPPORTED));
     };
     make_folder(&args.out)?;
-    for name in case.output_names() {
-        if let Some(Ok(tensor)) = answers.get(name) {
-            let path = args.out.join(format!("{name}.npy"));
-            std::fs::write(&path, npy::encode(tensor))
-                .with_context(|| format!("{}: cannot write", path.display()))?;
-        }
+    for (name, tensor) in outputs.tensors() {
+        let path = args.out.join(format!("{name}.npy"));
+        std::fs::write(&path, npy::encode(tensor))
+            .with_context(|| format!("{}: cannot write", path.display()))?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -267,7 +276,7 @@ fn one_by_port(
     let out = root.join(case.stage()).join(case.case());
     make_folder(&out)?;
     // What an earlier run left behind is no answer.
-    for name in case.output_names() {
+    for name in case.outputs().keys() {
         let _ = std::fs::remove_file(out.join(format!("{name}.npy")));
     }
     let absolute = |path: &Path| {
@@ -293,11 +302,10 @@ fn one_by_port(
 fn from_own(cases: &[Case], width: Option<OwnWidth>) -> Result<Vec<CaseVerdict>> {
     let width = width.unwrap_or(OwnWidth::F64).into();
     let verdict = |case: &Case| -> Result<CaseVerdict> {
-        let answers: Option<Answers> = own::answers(case, width)?;
-        Ok(answers.map_or_else(
-            || CaseVerdict::without_outputs(case, Outcome::Unsupported),
-            |answers| judge(case, &answers, false),
-        ))
+        Ok(match own(case, width)? {
+            Some(outputs) => judge(case, &outputs.answers(), false),
+            None => CaseVerdict::without_outputs(case, Outcome::Unsupported),
+        })
     };
     cases.iter().map(verdict).collect()
 }

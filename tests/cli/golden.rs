@@ -179,7 +179,7 @@ fn a_port_is_a_program() {
         text.contains("exit status: 2") || text.contains("exit code: 2"),
         "{text}"
     );
-    assert!(text.contains("frobnicate"), "its last words: {text}");
+    assert!(text.contains("frobnicate"), "the end of its output: {text}");
 }
 
 #[cfg(unix)]
@@ -208,8 +208,8 @@ fn a_port_that_hangs_is_ended() {
 }
 
 #[test]
-fn slips_in_the_command_are_named() {
-    let slips: &[(&[&str], &str)] = &[
+fn mistakes_in_the_command_are_named() {
+    let mistakes: &[(&[&str], &str)] = &[
         (&["check"], "--exec"),
         (&["check", "--self", "--actual", "."], "--actual"),
         (&["check", "--self", "--stage", "rasta"], "rasta"),
@@ -227,7 +227,7 @@ fn slips_in_the_command_are_named() {
         (&["check", "--self", "--timeout", "0"], "--timeout"),
         (&["answer", "/nowhere", "/tmp"], "/nowhere"),
     ];
-    for (args, word) in slips {
+    for (args, word) in mistakes {
         let (code, text) = golden(args);
         assert!(code == 2 && text.contains(word), "{args:?}: {code}, {text}");
     }
@@ -242,8 +242,8 @@ fn tolerances_have_reasons() {
     );
 }
 
-/// Of the slips of `slips.py`, those that ports to a GPU make most often.
-const USUAL_SLIPS: [&str; 12] = [
+/// Of the mutants of `mutants.py`, those with the mistakes that ports to a GPU make most often.
+const USUAL_MUTANTS: [&str; 12] = [
     "half_pixel",
     "no_dilation",
     "quaternion_order",
@@ -258,8 +258,8 @@ const USUAL_SLIPS: [&str; 12] = [
     "truncated_window",
 ];
 
-/// Where there is a Python with numpy, the example port passes; the same port with a usual slip fails, and first at
-/// the slip's own stage; with rounding of its own it passes. `GARAD_EXTENSIVE=1`: all slips that there are.
+/// Where there is a Python with numpy, the example port passes; a usual mutant of it fails, and first at its own
+/// stage; with rounding of its own it passes. `GARAD_EXTENSIVE=1`: all mutants that there are.
 #[test]
 fn the_example_port_passes() {
     let numpy = Command::new("python3")
@@ -286,22 +286,22 @@ fn the_example_port_passes() {
     let (code, text) = golden(&check);
     assert!(code == 0 && text.contains("28 pass"), "{text}");
     let extensive = std::env::var_os("GARAD_EXTENSIVE").is_some_and(|v| v == "1");
-    let asked: &[&str] = if extensive { &[] } else { &USUAL_SLIPS };
-    let slips = Command::new("python3")
-        .arg(format!("{example}/slips.py"))
+    let asked: &[&str] = if extensive { &[] } else { &USUAL_MUTANTS };
+    let mutants = Command::new("python3")
+        .arg(format!("{example}/mutants.py"))
         .args(asked)
         .args(if extensive { &[][..] } else { &["noisy_exp"] })
         .env("GARAD", env!("CARGO_BIN_EXE_garad"))
         .output()
         .expect("python3 starts");
-    let text = String::from_utf8_lossy(&slips.stdout).into_owned();
+    let text = String::from_utf8_lossy(&mutants.stdout).into_owned();
     assert!(
-        slips.status.success(),
+        mutants.status.success(),
         "{text}{}",
-        String::from_utf8_lossy(&slips.stderr)
+        String::from_utf8_lossy(&mutants.stderr)
     );
-    for slip in USUAL_SLIPS {
-        assert!(text.contains(slip), "{slip}: {text}");
+    for mutant in USUAL_MUTANTS {
+        assert!(text.contains(mutant), "{mutant}: {text}");
     }
     assert!(text.contains("half a pixel"), "{text}");
 }

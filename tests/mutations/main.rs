@@ -1,16 +1,16 @@
-//! The kept list of slips has not rotted: each text is still there, once, to be replaced.
+//! Every mutant of the list can still be made: each text is there, once, to be replaced.
 //!
-//! Whether the tests notice the slips takes `tests/mutations/run.py` half an hour; `results.csv` has its answer.
+//! Whether the tests notice the mutants takes `tests/mutations/run.py` half an hour; `results.csv` has its answer.
 
 use std::fs;
 use std::path::Path;
 
 use serde::Deserialize;
 
-/// One slip of `slips.toml`.
+/// One entry of `mutants.toml`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Slip {
+struct Mutant {
     #[serde(rename = "crate")]
     folder: String,
     file: String,
@@ -20,36 +20,36 @@ struct Slip {
 }
 
 #[derive(Debug, Deserialize)]
-struct Slips {
-    slip: Vec<Slip>,
+struct Mutants {
+    mutant: Vec<Mutant>,
 }
 
 #[test]
-fn every_slip_can_still_be_made() {
+fn every_mutant_can_still_be_made() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let list = fs::read_to_string(root.join("tests/mutations/slips.toml")).expect("the list");
-    let Slips { slip: slips } = toml::from_str(&list).expect("the list's form");
-    assert!(slips.len() >= 40, "only {} slips", slips.len());
+    let list = fs::read_to_string(root.join("tests/mutations/mutants.toml")).expect("the list");
+    let Mutants { mutant: mutants } = toml::from_str(&list).expect("the list's form");
+    assert!(mutants.len() >= 40, "only {} mutants", mutants.len());
     let mut wrong = Vec::new();
-    for (i, slip) in slips.iter().enumerate() {
-        let text = fs::read_to_string(root.join(&slip.file)).unwrap_or_default();
-        let count = text.matches(&slip.find).count();
-        let inside = slip
+    for (i, mutant) in mutants.iter().enumerate() {
+        let text = fs::read_to_string(root.join(&mutant.file)).unwrap_or_default();
+        let count = text.matches(&mutant.find).count();
+        let inside = mutant
             .file
-            .starts_with(&format!("crates/{}/src/", slip.folder));
-        let twice = slips[..i]
+            .starts_with(&format!("crates/{}/src/", mutant.folder));
+        let twice = mutants[..i]
             .iter()
-            .any(|s| s.file == slip.file && s.find == slip.find && s.replace == slip.replace);
-        if count != 1 || slip.find == slip.replace || !inside || twice {
+            .any(|s| s.file == mutant.file && s.find == mutant.find && s.replace == mutant.replace);
+        if count != 1 || mutant.find == mutant.replace || !inside || twice {
             wrong.push(format!(
                 "{}: `{}` found {count} times ({})",
-                slip.file, slip.find, slip.what
+                mutant.file, mutant.find, mutant.what
             ));
         }
     }
     assert!(
         wrong.is_empty(),
-        "code has changed under these slips; mend tests/mutations/slips.toml:\n{}",
+        "code has changed under these mutants; mend tests/mutations/mutants.toml:\n{}",
         wrong.join("\n")
     );
 }

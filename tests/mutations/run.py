@@ -1,17 +1,18 @@
 #!/usr/bin/env python3
-"""Do our tests notice? Puts one slip after the other into a copy of the project and runs the crate's tests.
+"""Do our tests notice? Puts one mutant after the other into a copy of the project and runs the crate's tests.
 
-    tests/mutations/run.py --check              every text of slips.toml is found exactly once; no build
+    tests/mutations/run.py --check              every text of mutants.toml is found exactly once; no build
     tests/mutations/run.py                      all of them, on one core
     tests/mutations/run.py optim 'half a pixel' those whose crate, file or description holds one of these
 
 The copy is made of HEAD (`--work`: of the working tree), in a temporary folder or in `--folder`, where a
 second run finds what the first has built. Of each crate the unit tests run first, then, if they all passed,
-the integration tests (of slam only the quick ones); documentation tests do not run. Before the first slip in a crate its tests have to pass
-as they are. results.csv beside this file is the report of one run of all: 37 minutes on a busy machine.
+the integration tests (of slam only the quick ones), then the golden cases of all stages; documentation tests do not
+run. Before the first mutant of a crate its tests have to pass as they are. results.csv beside this file is the
+report of one run of all: 37 minutes on a busy machine.
 
 `caught`: a test failed, or nothing came to an end in ten minutes. `missed`: all passed. `broken`: does not
-compile, so the slip proves nothing and has to be mended. Exit code 1 if more than 5 % are missed or
+compile, so the mutant proves nothing and has to be mended. Exit code 1 if more than 5 % are missed or
 anything is broken. Results go to stdout and, as CSV, to `--report FILE`.
 
 Needs Python 3.11 or newer, git and cargo.
@@ -35,26 +36,28 @@ ORDER = ["slam", "eval", "raster_cpu", "crf", "features", "optim", "core"]
 # Integration tests that run after the unit tests. Those of slam that take whole sequences through the system
 # would take most of the time, and name no stage.
 INTEGRATION = {"slam": ["labels", "stages"]}
+# Every stage below slam against its golden cases.
+CONFORMANCE = ("garad-conformance", ["--lib", "--test", "stages"])
 TIME_LIMIT_S = 600
 MOST_MISSED = 0.05
 
 
-def slips(root, only):
+def mutants(root, only):
     """Those asked for, if all of the list are found in the code under `root`."""
-    with open(Path(__file__).with_name("slips.toml"), "rb") as file:
-        found = tomllib.load(file)["slip"]
-    for slip in found:
-        text = (root / slip["file"]).read_text()
-        count = text.count(slip["find"])
+    with open(Path(__file__).with_name("mutants.toml"), "rb") as file:
+        found = tomllib.load(file)["mutant"]
+    for mutant in found:
+        text = (root / mutant["file"]).read_text()
+        count = text.count(mutant["find"])
         if count != 1:
-            sys.exit(f"{slip['file']}: `{slip['find']}` occurs {count} times; expected once ({slip['what']})")
-        if slip["find"] == slip["replace"]:
-            sys.exit(f"{slip['file']}: `{slip['find']}` is replaced by itself")
-        if slip["crate"] not in ORDER:
-            sys.exit(f"{slip['file']}: crate `{slip['crate']}`; expected one of {ORDER}")
-    about = lambda slip: f"{slip['crate']} {slip['file']} {slip['what']}"
-    found = [slip for slip in found if not only or any(word in about(slip) for word in only)]
-    return sorted(found, key=lambda slip: ORDER.index(slip["crate"]))
+            sys.exit(f"{mutant['file']}: `{mutant['find']}` occurs {count} times; expected once ({mutant['what']})")
+        if mutant["find"] == mutant["replace"]:
+            sys.exit(f"{mutant['file']}: `{mutant['find']}` is replaced by itself")
+        if mutant["crate"] not in ORDER:
+            sys.exit(f"{mutant['file']}: crate `{mutant['crate']}`; expected one of {ORDER}")
+    about = lambda mutant: f"{mutant['crate']} {mutant['file']} {mutant['what']}"
+    found = [mutant for mutant in found if not only or any(word in about(mutant) for word in only)]
+    return sorted(found, key=lambda mutant: ORDER.index(mutant["crate"]))
 
 
 def copy(to, work):
@@ -82,12 +85,12 @@ def package(root, crate):
         return tomllib.load(file)["package"]["name"]
 
 
-def cargo_test(root, target, crate, which):
+def cargo_test(root, target, package, which, limit_s):
     """(verdict, first test that failed)"""
-    command = ["cargo", "test", "--locked", "-q", "-j1", "-p", package(root, crate), *which]
+    command = ["cargo", "test", "--locked", "-q", "-j1", "-p", package, *which]
     command += ["--", "--test-threads=1"]
     # Debug tables are for debuggers. Proptest is not to look for a smaller counter-example, nor to keep
-    # it and try it on the next slip.
+    # it and try it on the next mutant.
     environment = os.environ | {
         "CARGO_TARGET_DIR": str(target),
         "CARGO_TERM_COLOR": "never",
@@ -105,7 +108,7 @@ def cargo_test(root, target, crate, which):
         start_new_session=True,
     )
     try:
-        said, _ = process.communicate(timeout=TIME_LIMIT_S)
+        said, _ = process.communicate(timeout=limit_s)
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
@@ -121,10 +124,15 @@ def cargo_test(root, target, crate, which):
     return "broken", ""
 
 
-def try_all(root, target, crate, unit):
-    integration = [part for name in INTEGRATION.get(crate, ["*"]) for part in ("--test", name)]
-    for which in [["--lib"]] if unit else [["--lib"], integration]:
-        verdict, by = cargo_test(root, target, crate, which)
+def try_all(root, target, crate, unit, limit_s=None):
+    own = package(root, crate)
+    parts = [(own, ["--lib"])]
+    if not unit:
+        tests = INTEGRATION.get(crate) or sorted(path.stem for path in (root / "crates" / crate / "tests").glob("*.rs"))
+        parts += [(own, [word for name in tests for word in ("--test", name)])] if tests else []
+        parts += [CONFORMANCE] if crate != "slam" else []
+    for name, which in parts:
+        verdict, by = cargo_test(root, target, name, which, limit_s)
         if verdict != "missed":
             return verdict, by
     return "missed", ""
@@ -141,7 +149,7 @@ def main():
     parser.add_argument("--report", type=Path, help="CSV")
     args = parser.parse_args()
     if args.check:
-        print(f"{len(slips(ROOT, args.only))} slips, every text found once")
+        print(f"{len(mutants(ROOT, args.only))} mutants, every text found once")
         return 0
 
     with tempfile.TemporaryDirectory() as temporary:
@@ -151,31 +159,31 @@ def main():
         copy(root, args.work)
         target = (args.target or folder / "target").resolve()
         rows, sound, begun = [], set(), time.monotonic()
-        for slip in slips(root, args.only):
-            crate, file = slip["crate"], root / slip["file"]
+        for mutant in mutants(root, args.only):
+            crate, file = mutant["crate"], root / mutant["file"]
             if crate not in sound:
                 at = time.monotonic()
-                verdict, by = try_all(root, target, crate, args.unit)
+                verdict, by = try_all(root, target, crate, args.unit)   # builds all there is: no limit
                 if verdict != "missed":
-                    sys.exit(f"{crate}: the tests fail without any slip: {by}")
+                    sys.exit(f"{crate}: the tests fail without any mutant: {by}")
                 sound.add(crate)
                 print(f"{'':8} {crate:10} built, and passes as it is ({time.monotonic() - at:.0f} s)", flush=True)
             at = time.monotonic()
             before = file.read_text()
-            file.write_text(before.replace(slip["find"], slip["replace"]))
+            file.write_text(before.replace(mutant["find"], mutant["replace"]))
             try:
-                verdict, by = try_all(root, target, crate, args.unit)
+                verdict, by = try_all(root, target, crate, args.unit, TIME_LIMIT_S)
             finally:
                 file.write_text(before)
             seconds = time.monotonic() - at
-            where = slip["file"].split("/src/")[1]
-            print(f"{verdict:8} {crate:10} {where:22} {slip['what']:55} {by} ({seconds:.0f} s)", flush=True)
-            rows.append([crate, where, slip["what"], verdict, by])
+            where = mutant["file"].split("/src/")[1]
+            print(f"{verdict:8} {crate:10} {where:22} {mutant['what']:55} {by} ({seconds:.0f} s)", flush=True)
+            rows.append([crate, where, mutant["what"], verdict, by])
 
     if args.report:
         with open(args.report, "w", newline="") as out:
             writer = csv.writer(out, lineterminator="\n")
-            writer.writerow(["crate", "file", "slip", "verdict", "noticed by"])
+            writer.writerow(["crate", "file", "mutant", "verdict", "noticed by"])
             writer.writerows(rows)
     count = lambda verdict: sum(row[3] == verdict for row in rows)
     missed, broken = count("missed"), count("broken")

@@ -1,179 +1,13 @@
-//! Poses and points with the least cost, written a second time with dense normal equations, with their mistakes.
+//! Poses and points with the least cost, a second time with dense normal equations, with their faults.
 
-use garad_golden::Case;
-use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, Vector2, Vector3, Vector6};
+use garad_conformance::Outputs;
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3, Vector6};
 
-use super::answers::{Out, put_f64};
-use super::second::{How, Slip};
-
-/// Points nearer than this are behind the camera, metres.
-const NEAREST_M: f64 = 0.05;
-
-/// camera_from_world.
-#[derive(Clone)]
-struct Pose {
-    rotation: Matrix3<f64>,
-    shift: Vector3<f64>,
-}
-
-/// A point seen: where, how surely, and its virtual right coordinate, if there is one.
-struct Seen {
-    pose: usize,
-    point: usize,
-    uv: Vector2<f64>,
-    sigma: f64,
-    right: Option<[f64; 2]>,
-}
-
-impl Seen {
-    fn rows(&self) -> usize {
-        if self.right.is_some() { 3 } else { 2 }
-    }
-}
-
-struct Lens {
-    f: [f64; 2],
-    c: [f64; 2],
-    bf: f64,
-}
-
-impl Lens {
-    fn of(case: &Case) -> Self {
-        let n = |name| case.param_f64(name);
-        Self {
-            f: [n("fx"), n("fy")],
-            c: [n("cx"), n("cy")],
-            bf: n("bf"),
-        }
-    }
-}
-
-/// Rodrigues' formula, by its series where the angle is small.
-fn turn(w: &Vector3<f64>) -> Matrix3<f64> {
-    let angle2 = w.norm_squared();
-    let (a, b) = match angle2 < 1e-4 {
-        true => (
-            1.0 - angle2 / 6.0 * (1.0 - angle2 / 20.0),
-            0.5 - angle2 / 24.0 * (1.0 - angle2 / 30.0),
-        ),
-        false => {
-            let (sin, cos) = garad_core::Real::sin_cos(angle2.sqrt());
-            (sin / angle2.sqrt(), (1.0 - cos) / angle2)
-        }
-    };
-    let k = w.cross_matrix();
-    Matrix3::identity() + k * a + k * k * b
-}
-
-/// Residual of three rows, the third 0 without depth, and its derivative by the point in the camera.
-fn residual(lens: &Lens, p: &Vector3<f64>, seen: &Seen, how: &How) -> (Vector3<f64>, Matrix3<f64>) {
-    let (iz, [fx, fy]) = (1.0 / p.z, lens.f);
-    let fy = if how.is(Slip::FxForFy) { fx } else { fy };
-    let (u, v) = (fx * p.x * iz + lens.c[0], fy * p.y * iz + lens.c[1]);
-    let mut r = Vector3::new(u - seen.uv.x, v - seen.uv.y, 0.0);
-    let mut j = Matrix3::new(
-        fx * iz,
-        0.0,
-        -fx * p.x * iz * iz, //
-        0.0,
-        fy * iz,
-        -fy * p.y * iz * iz, //
-        0.0,
-        0.0,
-        0.0,
-    );
-    if how.is(Slip::NormalisedForPixels) {
-        r = Vector3::new(p.x * iz - seen.uv.x, p.y * iz - seen.uv.y, 0.0);
-    }
-    let sigma = match how.slip {
-        Some(Slip::SigmaForgotten) => 1.0,
-        Some(Slip::SigmaSquared) => seen.sigma * seen.sigma,
-        _ => seen.sigma,
-    };
-    let mut sigmas = [sigma, sigma, 1.0];
-    if let Some([u_right, sigma_right]) = seen.right {
-        let sign = if how.is(Slip::RightOnTheLeft) {
-            -1.0
-        } else {
-            1.0
-        };
-        r.z = u - sign * lens.bf * iz - u_right;
-        let slope = j[(0, 2)] + sign * lens.bf * iz * iz;
-        j.set_row(2, &nalgebra::RowVector3::new(fx * iz, 0.0, slope));
-        sigmas[2] = sigma_right;
-    }
-    for (row, sigma) in sigmas.into_iter().enumerate() {
-        r[row] /= sigma;
-        j.row_mut(row).unscale_mut(sigma);
-    }
-    (r, j)
-}
-
-/// By a pose that is moved on the left, translation first.
-fn by_pose(j: &Matrix3<f64>, pose: &Pose, p_world: &Vector3<f64>, how: &How) -> SMatrix<f64, 3, 6> {
-    let p = pose.rotation * p_world + pose.shift;
-    let (shift, rotation) = match how.slip {
-        Some(Slip::PerturbedOnTheRight) => (
-            j * pose.rotation,
-            -j * pose.rotation * p_world.cross_matrix(),
-        ),
-        Some(Slip::RotationSign) => (*j, j * p.cross_matrix()),
-        Some(Slip::ShiftNotTurned) => (*j, -j * (pose.rotation * p_world).cross_matrix()),
-        _ => (*j, -j * p.cross_matrix()),
-    };
-    let parts = match how.is(Slip::RotationFirst) {
-        true => [rotation, shift],
-        false => [shift, rotation],
-    };
-    SMatrix::from_fn(|i, k| parts[k / 3][(i, k % 3)])
-}
-
-fn matrices(values: &[f64]) -> Vec<Matrix3<f64>> {
-    values.chunks(9).map(Matrix3::from_row_slice).collect()
-}
-
-fn vectors(values: &[f64]) -> Vec<Vector3<f64>> {
-    values.chunks(3).map(Vector3::from_column_slice).collect()
-}
-
-fn observations(case: &Case, of: &[usize], how: &How) -> Vec<Seen> {
-    let (uv, sigma) = (case.input("uv").f64(), case.input("sigma").f64());
-    let right = case.input("right").f64();
-    let one = |i: usize| Seen {
-        pose: of[2 * i],
-        point: of[2 * i + 1],
-        uv: Vector2::new(uv[2 * i], uv[2 * i + 1]),
-        sigma: sigma[i],
-        right: (right[2 * i].is_finite() && !how.is(Slip::DepthIgnored))
-            .then(|| [right[2 * i], right[2 * i + 1]]),
-    };
-    (0..sigma.len()).map(one).collect()
-}
-
-pub(super) fn reprojection(case: &Case, how: &How, out: &mut Out) {
-    let lens = Lens::of(case);
-    let input = |name: &str| vectors(&case.input(name).f64());
-    let (phi, t, p_world) = (input("phi"), input("t"), input("p_world"));
-    let own: Vec<usize> = (0..phi.len()).flat_map(|i| [i, i]).collect();
-    let [mut residuals, mut poses, mut points] = [const { Vec::new() }; 3];
-    for (i, seen) in observations(case, &own, how).iter().enumerate() {
-        let pose = Pose {
-            rotation: turn(&phi[i]),
-            shift: t[i],
-        };
-        let (r, j) = residual(&lens, &(pose.rotation * p_world[i] + pose.shift), seen, how);
-        residuals.extend(r.iter());
-        poses.extend(by_pose(&j, &pose, &p_world[i], how).transpose().iter());
-        let slope = match how.is(Slip::PointNotTurned) {
-            true => j,
-            false => j * pose.rotation,
-        };
-        points.extend(slope.fixed_rows::<2>(0).transpose().iter());
-    }
-    put_f64(out, case, "residual", &residuals);
-    put_f64(out, case, "by_pose", &poses);
-    put_f64(out, case, "by_point", &points);
-}
+use super::answers::Given;
+use super::reprojection::{
+    Lens, NEAREST_M, Pose, Seen, by_pose, observations, residual, turn, vectors,
+};
+use super::second::{Fault, How};
 
 #[derive(Clone)]
 struct State {
@@ -198,10 +32,10 @@ impl Problem<'_> {
             return f64::INFINITY;
         };
         let knee = match seen.rows() {
-            3 if !self.how.is(Slip::KneeOfTwo) => three,
+            3 if !self.how.is(Fault::KneeOfTwo) => three,
             _ => two,
         };
-        match self.how.is(Slip::KneeSquared) {
+        match self.how.is(Fault::KneeSquared) {
             true => knee * knee,
             false => knee,
         }
@@ -213,7 +47,7 @@ impl Problem<'_> {
         if chi2 <= knee {
             return (chi2, 1.0);
         }
-        let weight = match self.how.is(Slip::WeightOfTheSquare) {
+        let weight = match self.how.is(Fault::WeightOfTheSquare) {
             true => knee / chi2,
             false => (knee / chi2).sqrt(),
         };
@@ -234,7 +68,7 @@ impl Problem<'_> {
             let chi2 = residual(self.lens, &p, seen, self.how).0.norm_squared();
             self.robust(chi2, seen).0
         };
-        let half = if self.how.is(Slip::CostNotHalved) {
+        let half = if self.how.is(Fault::CostNotHalved) {
             1.0
         } else {
             0.5
@@ -282,7 +116,7 @@ impl Problem<'_> {
                 let first = first_point + 3 * seen.point;
                 slopes.extend((0..3).map(|k| (first + k, j.column(k).into())));
             }
-            let of_gradient = match self.how.is(Slip::JacobianNotWeighted) {
+            let of_gradient = match self.how.is(Fault::JacobianNotWeighted) {
                 true => weight.sqrt(),
                 false => weight,
             };
@@ -350,18 +184,21 @@ impl Problem<'_> {
     }
 }
 
-fn put_poses(out: &mut Out, case: &Case, poses: &[Pose]) {
-    let (mut rotations, mut shifts) = (Vec::new(), Vec::new());
-    for pose in poses {
-        rotations.extend(pose.rotation.transpose().iter());
-        shifts.extend(pose.shift.iter());
-    }
-    put_f64(out, case, "rotation", &rotations);
-    put_f64(out, case, "translation", &shifts);
+fn matrices(values: &[f64]) -> Vec<Matrix3<f64>> {
+    values.chunks(9).map(Matrix3::from_row_slice).collect()
 }
 
-fn start(case: &Case, points: &str) -> State {
-    let of = |name: &str| case.input(name).f64();
+fn put_poses(out: &mut Outputs, poses: &[Pose]) {
+    let rows = |p: &Pose| <[[f64; 3]; 3]>::from(p.rotation.transpose());
+    out.put("rotation", poses.iter().map(rows));
+    out.put(
+        "translation",
+        poses.iter().map(|p| <[f64; 3]>::from(p.shift)),
+    );
+}
+
+fn start(case: Given<'_>, points: &str) -> State {
+    let of = |name: &str| case.reals(name);
     let poses = matrices(&of("rotation_initial")).into_iter();
     let poses = poses.zip(vectors(&of("translation_initial")));
     State {
@@ -372,13 +209,13 @@ fn start(case: &Case, points: &str) -> State {
     }
 }
 
-pub(super) fn pose(case: &Case, how: &How, out: &mut Out) {
+pub(super) fn pose(case: Given<'_>, how: &How, out: &mut Outputs) {
     let lens = Lens::of(case);
     let initial = start(case, "p_world");
     let n = initial.points.len();
     let own: Vec<usize> = (0..n).flat_map(|i| [0, i]).collect();
-    let seen = observations(case, &own, how);
-    let knees = ["chi2_2d", "chi2_3d"].map(|name| case.param_f64(name));
+    let seen = observations(case, &own);
+    let knees = ["chi2_2d", "chi2_3d"].map(|name| case.number(name));
     let chi2 = |state: &State, i: usize| {
         let p = Problem::in_camera(state, &seen[i]);
         match p.z < NEAREST_M {
@@ -386,11 +223,7 @@ pub(super) fn pose(case: &Case, how: &How, out: &mut Out) {
             false => residual(&lens, &p, &seen[i], how).0.norm_squared(),
         }
     };
-    let rounds = if n < 10 {
-        1
-    } else {
-        case.param_usize("rounds")
-    };
+    let rounds = if n < 10 { 1 } else { case.count("rounds") };
     let (mut state, mut inlier) = (initial.clone(), vec![true; n]);
     let (mut first, mut cost) = (None, 0.0);
     for round in 0..rounds {
@@ -402,7 +235,7 @@ pub(super) fn pose(case: &Case, how: &How, out: &mut Out) {
             seen: used.map(|i| &seen[i]).collect(),
             held: vec![false],
             points_held: true,
-            knee: (round <= 2 && !how.is(Slip::NoKernel)).then_some(knees),
+            knee: (round <= 2 && !how.is(Fault::NoKernel)).then_some(knees),
             how,
         };
         let (solved, before, after) = problem.minimise(begin);
@@ -410,59 +243,53 @@ pub(super) fn pose(case: &Case, how: &How, out: &mut Out) {
         first = first.or(Some(before));
         for i in 0..n {
             let gate = match seen[i].rows() {
-                3 if !how.is(Slip::GateOfTwo) => knees[1],
+                3 if !how.is(Fault::GateOfTwo) => knees[1],
                 _ => knees[0],
             };
             let inside = chi2(&state, i) <= gate;
-            inlier[i] = match how.is(Slip::OutliersForGood) {
+            inlier[i] = match how.is(Fault::OutliersForGood) {
                 true => inlier[i] && inside,
                 false => inside,
             };
         }
     }
-    put_f64(out, case, "cost_initial", &[first.unwrap_or_default()]);
-    put_f64(out, case, "cost", &[cost]);
-    if how.is(Slip::PoseInverted) {
+    out.put("cost_initial", [first.unwrap_or_default()]);
+    out.put("cost", [cost]);
+    if how.is(Fault::PoseInverted) {
         let rotation = state.poses[0].rotation.transpose();
         let shift = -(rotation * state.poses[0].shift);
         state.poses[0] = Pose { rotation, shift };
     }
-    put_poses(out, case, &state.poses);
-    let flags: Vec<f64> = inlier.iter().map(|i| f64::from(u8::from(*i))).collect();
-    put_f64(out, case, "inlier", &flags);
+    put_poses(out, &state.poses);
+    out.put("inlier", inlier);
 }
 
-pub(super) fn bundle(case: &Case, how: &How, out: &mut Out) {
+pub(super) fn bundle(case: Given<'_>, how: &How, out: &mut Outputs) {
     let lens = Lens::of(case);
     let initial = start(case, "points_initial");
-    let of: Vec<usize> = (case.input("observed").i64().iter())
+    let of: Vec<usize> = (case.tensor("observed").i64().iter())
         .map(|i| usize::try_from(*i).expect("an index"))
         .collect();
-    let seen = observations(case, &of, how);
-    let fixed: Vec<bool> = case.input("fixed").u8().iter().map(|f| *f == 1).collect();
+    let seen = observations(case, &of);
+    let fixed: Vec<bool> = case.tensor("fixed").u8().iter().map(|f| *f == 1).collect();
     let used = seen.iter().filter(|s| {
-        let of_fixed = how.is(Slip::FixedViewsDropped) && fixed[s.pose];
+        let of_fixed = how.is(Fault::FixedViewsDropped) && fixed[s.pose];
         !of_fixed && Problem::in_camera(&initial, s).z >= NEAREST_M
     });
     let problem = Problem {
         lens: &lens,
         seen: used.collect(),
-        held: match how.is(Slip::GaugeNotFixed) {
+        held: match how.is(Fault::GaugeNotFixed) {
             true => vec![false; fixed.len()],
             false => fixed.clone(),
         },
-        points_held: how.is(Slip::PointsHeld),
-        knee: (!how.is(Slip::NoKernel)).then(|| ["chi2_2d", "chi2_3d"].map(|k| case.param_f64(k))),
+        points_held: how.is(Fault::PointsHeld),
+        knee: (!how.is(Fault::NoKernel)).then(|| ["chi2_2d", "chi2_3d"].map(|k| case.number(k))),
         how,
     };
     let (state, before, after) = problem.minimise(initial);
-    put_f64(out, case, "cost_initial", &[before]);
-    put_f64(out, case, "cost", &[after]);
-    put_poses(out, case, &state.poses);
-    let points: Vec<f64> = state
-        .points
-        .iter()
-        .flat_map(|p| p.iter().copied())
-        .collect();
-    put_f64(out, case, "points", &points);
+    out.put("cost_initial", [before]);
+    out.put("cost", [after]);
+    put_poses(out, &state.poses);
+    out.put("points", state.points.into_iter().map(<[f64; 3]>::from));
 }

@@ -1,35 +1,56 @@
-//! Numbers to tensors.
+//! What a port is given, and its answers as the judge takes them.
 
-use garad_golden::judge::Answers;
-use garad_golden::{Case, Dtype, Tensor};
+use garad_conformance::Outputs;
+use garad_golden::answers::Answers;
+use garad_golden::{Case, Inputs, Tensor};
 
-pub(crate) type Out = Answers;
+/// The inputs of a case. One that lacks something is a mistake of this test.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Given<'a>(pub(crate) &'a Inputs);
 
-fn put(out: &mut Out, case: &Case, name: &str, dtype: Dtype, count: usize, bytes: Vec<u8>) {
-    if !case.output_names().any(|n| n == name) {
-        return;
+impl<'a> Given<'a> {
+    pub(crate) fn get(self, name: &str) -> Option<&'a Tensor> {
+        self.0.get(name)
     }
-    let expected = case.output(name);
-    let shape = match expected.len() == count {
-        true => expected.shape().to_vec(),
-        false => vec![count],
+
+    pub(crate) fn tensor(self, name: &str) -> &'a Tensor {
+        self.0.tensor(name).expect("an input of the stage")
+    }
+
+    pub(crate) fn reals(self, name: &str) -> Vec<f64> {
+        self.tensor(name).f64()
+    }
+
+    pub(crate) fn rows<const N: usize>(self, name: &str) -> Vec<[f64; N]> {
+        self.0.rows(name).expect("an input of the stage")
+    }
+
+    pub(crate) fn number(self, name: &str) -> f64 {
+        self.0.number(name).expect("a parameter of the stage")
+    }
+
+    pub(crate) fn count(self, name: &str) -> usize {
+        self.0.count(name).expect("a parameter of the stage")
+    }
+
+    pub(crate) fn switch(self, name: &str) -> bool {
+        self.0.switch(name).expect("a parameter of the stage")
+    }
+
+    pub(crate) fn word(self, name: &str) -> &'a str {
+        self.0.word(name).expect("a parameter of the stage")
+    }
+}
+
+/// Flat lists under the expected shapes, where they have as many numbers.
+pub(crate) fn shaped(case: &Case, out: &Outputs) -> Answers {
+    let one = |(name, tensor): (&String, &Tensor)| {
+        let expected = case
+            .outputs()
+            .get(name)
+            .filter(|_| tensor.shape().len() == 1);
+        let shaped = expected.and_then(|e| tensor.clone().reshape(e.shape()));
+        (name.clone(), Ok(shaped.unwrap_or_else(|| tensor.clone())))
     };
-    let tensor = Tensor::from_bytes(dtype, shape, bytes);
-    out.insert(name.to_owned(), tensor.ok_or_else(|| "odd size".to_owned()));
-}
-
-pub(crate) fn put_f32(out: &mut Out, case: &Case, name: &str, values: &[f32]) {
-    let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-    put(out, case, name, Dtype::F32, values.len(), bytes);
-}
-
-pub(crate) fn put_f64(out: &mut Out, case: &Case, name: &str, values: &[f64]) {
-    let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-    put(out, case, name, Dtype::F64, values.len(), bytes);
-}
-
-pub(crate) fn put_i64(out: &mut Out, case: &Case, name: &str, values: impl Iterator<Item = i64>) {
-    let values: Vec<i64> = values.collect();
-    let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-    put(out, case, name, Dtype::I64, values.len(), bytes);
+    out.tensors().iter().map(one).collect()
 }

@@ -1,15 +1,15 @@
-//! From splats to pictures and back, by the formulas of docs/math.md R8 to R14.
+//! From splats to images and back, by the formulas of docs/math.md R8 to R14.
 
 use super::number::{N, rough_exp};
-use super::raster::{Density, How, Slip, Walk};
-use super::splats::{ByPixel, CELL, Splat};
+use super::rendering::{CELL, Density, Fault, How, Walk};
+use super::splats::{ByPixel, Splat};
 
 const MIN_ALPHA: f64 = 1.0 / 255.0;
 const MAX_ALPHA: f64 = 0.99;
 const MIN_T: f64 = 1e-4;
 
 #[derive(Debug, Clone)]
-pub(crate) struct Pictures<const M: bool, const Z: bool> {
+pub(crate) struct Images<const M: bool, const Z: bool> {
     pub(crate) color: Vec<[N<M, Z>; 3]>,
     pub(crate) depth: Vec<N<M, Z>>,
     pub(crate) left: Vec<N<M, Z>>,
@@ -22,23 +22,23 @@ pub(crate) fn order<const M: bool, const Z: bool>(splats: &[Splat<M, Z>], how: &
     let mut order: Vec<usize> = (0..splats.len()).filter(|&i| splats[i].visible).collect();
     let near = |i: usize| -> f32 {
         let s = &splats[i];
-        match how.slip {
-            Some(Slip::SortInHalf) => f32::from_bits(s.depth_m.0.to_bits() & 0xffff_0000),
-            Some(Slip::SortByDistance) => s.p.iter().map(|v| v.0 * v.0).sum(),
-            Some(Slip::SortReversed) => -s.depth_m.0,
+        match how.fault {
+            Some(Fault::SortInHalf) => f32::from_bits(s.depth_m.0.to_bits() & 0xffff_0000),
+            Some(Fault::SortByDistance) => s.p.iter().map(|v| v.0 * v.0).sum(),
+            Some(Fault::SortReversed) => -s.depth_m.0,
             _ => s.depth_m.0,
         }
     };
     order.sort_by(|&a, &b| near(a).total_cmp(&near(b)).then(a.cmp(&b)));
-    match how.slip {
-        Some(Slip::SortDropsOne) => {
+    match how.fault {
+        Some(Fault::SortDropsOne) => {
             order.pop();
         }
-        Some(Slip::SortDoublesOne) => order.extend(order.last().copied()),
-        Some(Slip::PaddingDrawsZero) if !splats.is_empty() => order.insert(0, 0),
-        Some(Slip::PayloadOverwritten) if order.len() > 2 => order.swap(0, 1),
+        Some(Fault::SortDoublesOne) => order.extend(order.last().copied()),
+        Some(Fault::PaddingDrawsZero) if !splats.is_empty() => order.insert(0, 0),
+        Some(Fault::PayloadOverwritten) if order.len() > 2 => order.swap(0, 1),
         // The mask is that of the list, read at the place in the sorted one.
-        Some(Slip::MaskBySortedIndex) => {
+        Some(Fault::MaskBySortedIndex) => {
             order = (0..splats.len()).collect();
             order.sort_by(|&a, &b| near(a).total_cmp(&near(b)).then(a.cmp(&b)));
             let mask: Vec<bool> = splats.iter().map(|s| s.visible).collect();
@@ -84,13 +84,13 @@ fn walk<const M: bool, const Z: bool>(
         left: N::ONE,
         last: 0,
     };
-    let shift = if how.slip == Some(Slip::HalfPixel) {
+    let shift = if how.fault == Some(Fault::HalfPixel) {
         0.5
     } else {
         0.0
     };
     let at = [N::new(x as f64 + shift), N::new(y as f64 + shift)];
-    let stop = N::new(if how.slip == Some(Slip::EarlyStop) {
+    let stop = N::new(if how.fault == Some(Fault::EarlyStop) {
         1e-3
     } else {
         MIN_T
@@ -120,17 +120,17 @@ fn walk<const M: bool, const Z: bool>(
             }
         };
         let dense = s.opacity * rough_exp(N::new(-0.5) * q, how.exp_ulp);
-        let highest = if how.slip == Some(Slip::NoAlphaLimit) {
+        let highest = if how.fault == Some(Fault::NoAlphaLimit) {
             1.0
         } else {
             MAX_ALPHA
         };
         let alpha = dense.min(N::new(highest));
-        if alpha < N::new(MIN_ALPHA) && how.slip != Some(Slip::NoAlphaThreshold) {
+        if alpha < N::new(MIN_ALPHA) && how.fault != Some(Fault::NoAlphaThreshold) {
             continue;
         }
         let behind = pixel.left * (N::ONE - alpha);
-        if behind < stop && how.slip != Some(Slip::NoStop) {
+        if behind < stop && how.fault != Some(Fault::NoStop) {
             break;
         }
         let left = pixel.left;
@@ -145,7 +145,7 @@ fn walk<const M: bool, const Z: bool>(
         pixel.left = behind;
         pixel.last = rank;
     }
-    if how.slip == Some(Slip::LastCountsSkipped) {
+    if how.fault == Some(Fault::LastCountsSkipped) {
         pixel.last = rank;
     }
     pixel
@@ -157,8 +157,8 @@ pub(crate) fn blend<const M: bool, const Z: bool>(
     [width, height]: [i64; 2],
     background: &[N<M, Z>; 3],
     how: &How,
-) -> Pictures<M, Z> {
-    let mut out = Pictures {
+) -> Images<M, Z> {
+    let mut out = Images {
         color: vec![],
         depth: vec![],
         left: vec![],
@@ -168,8 +168,8 @@ pub(crate) fn blend<const M: bool, const Z: bool>(
     for y in 0..height {
         for x in 0..width {
             let launched = x < width / CELL * CELL && y < height / CELL * CELL;
-            let order = match how.slip {
-                Some(Slip::TooFewTiles) if !launched => &[],
+            let order = match how.fault {
+                Some(Fault::TooFewTiles) if !launched => &[],
                 _ => order,
             };
             let pixel = walk(splats, order, (x, y), how);
@@ -183,16 +183,16 @@ pub(crate) fn blend<const M: bool, const Z: bool>(
                 depth = weight.times_plus(s.depth_m, depth);
             }
             for c in 0..3 {
-                match how.slip {
-                    Some(Slip::BackgroundInFull) => color[c] += background[c],
-                    Some(Slip::BackgroundMissing) => {}
-                    Some(Slip::PremultipliedTwice) => {
+                match how.fault {
+                    Some(Fault::BackgroundInFull) => color[c] += background[c],
+                    Some(Fault::BackgroundMissing) => {}
+                    Some(Fault::PremultipliedTwice) => {
                         color[c] = color[c] * (N::ONE - pixel.left) + pixel.left * background[c];
                     }
                     _ => color[c] = pixel.left.times_plus(background[c], color[c]),
                 }
             }
-            if how.slip == Some(Slip::DepthNormalised) && pixel.left < N::ONE {
+            if how.fault == Some(Fault::DepthNormalised) && pixel.left < N::ONE {
                 depth = depth / (N::ONE - pixel.left);
             }
             out.color.push(color);
@@ -239,7 +239,7 @@ fn blocks(walk: Walk, [width, height]: [i64; 2]) -> Vec<Vec<(i64, i64)>> {
     }
 }
 
-/// Gradients of the pictures.
+/// Gradients of the images.
 pub(crate) struct Up<'a, const M: bool, const Z: bool> {
     pub(crate) color: &'a [[N<M, Z>; 3]],
     pub(crate) depth: &'a [N<M, Z>],
@@ -275,11 +275,11 @@ pub(crate) fn blend_backward<const M: bool, const Z: bool>(
     }
     for (sum, s) in total.iter_mut().zip(splats) {
         sum.opacity = sum.opacity / s.opacity;
-        if how.slip == Some(Slip::ConicFactor) {
+        if how.fault == Some(Fault::ConicFactor) {
             sum.cov[1] = sum.cov[1] * N::new(0.5);
             sum.conic[1] = sum.conic[1] * N::new(0.5);
         }
-        if how.slip == Some(Slip::SubtleConic) {
+        if how.fault == Some(Fault::SubtleConic) {
             sum.cov[1] = sum.cov[1] * N::new(0.9995);
         }
     }
@@ -296,22 +296,22 @@ fn pixel_backward<const M: bool, const Z: bool>(
     sums: &mut [ByPixel<M, Z>],
 ) {
     let product = |a: &[N<M, Z>; 3]| (0..3).fold(N::ZERO, |sum, c| color[c].times_plus(a[c], sum));
-    let behind_all = match how.slip {
-        Some(Slip::BackgroundNotInGradient) => N::ZERO,
-        Some(Slip::BackgroundTwiceInGradient) => product(background) + product(background),
+    let behind_all = match how.fault {
+        Some(Fault::BackgroundNotInGradient) => N::ZERO,
+        Some(Fault::BackgroundTwiceInGradient) => product(background) + product(background),
         _ => product(background),
     };
     let mut light = behind_all - opacity;
     for t in pixel.touches.iter().rev() {
         let (s, sum) = (&splats[t.splat], &mut sums[t.splat]);
-        let by_depth = if how.slip == Some(Slip::DepthNotInGradient) {
+        let by_depth = if how.fault == Some(Fault::DepthNotInGradient) {
             N::ZERO
         } else {
             depth
         };
         let gain = by_depth.times_plus(s.depth_m, product(&s.color));
-        let left = match how.slip {
-            Some(Slip::TransmittanceBehind) => t.left * (N::ONE - t.alpha),
+        let left = match how.fault {
+            Some(Fault::TransmittanceBehind) => t.left * (N::ONE - t.alpha),
             _ => t.left,
         };
         let d_alpha = left * (gain - light);
@@ -322,12 +322,12 @@ fn pixel_backward<const M: bool, const Z: bool>(
         }
         sum.depth = weight.times_plus(depth, sum.depth);
         let limited = t.dense > N::new(MAX_ALPHA);
-        let passes = pass_through || !limited || how.slip == Some(Slip::AlphaLimitIgnored);
+        let passes = pass_through || !limited || how.fault == Some(Fault::AlphaLimitIgnored);
         let power = if passes { t.dense * d_alpha } else { N::ZERO };
         let half = N::new(0.5);
         for a in 0..2 {
             let pull = power * t.v[a];
-            sum.mean_px[a] += if how.slip == Some(Slip::AbsoluteGradient) {
+            sum.mean_px[a] += if how.fault == Some(Fault::AbsoluteGradient) {
                 pull.abs()
             } else {
                 pull

@@ -1,7 +1,7 @@
 //! Colour by spherical harmonics: each function is a polynomial, and its gradient follows from that.
 
 use super::number::N;
-use super::raster::{How, Slip};
+use super::rendering::{Fault, How};
 
 /// (coefficient, powers of x, y, z), by function.
 type Polynomial = &'static [(f64, [u32; 3])];
@@ -41,15 +41,15 @@ fn monomial<const M: bool, const Z: bool>(c: f64, p: [u32; 3], d: &[N<M, Z>; 3])
     N::new(c) * power(d[0], p[0]) * power(d[1], p[1]) * power(d[2], p[2])
 }
 
-/// What a slip makes of function k.
-fn slipped(k: usize, how: &How) -> (usize, f64) {
-    match (how.slip, k) {
-        (Some(Slip::ShSign), 1 | 3) => (k, -1.0),
-        (Some(Slip::ShOrder), 1) => (3, 1.0),
-        (Some(Slip::ShOrder), 3) => (1, 1.0),
-        (Some(Slip::ShConstant), 0) => (k, 0.5 / C[0] * 0.5),
-        (Some(Slip::ShDegreeThree), 9) => (15, 1.0),
-        (Some(Slip::ShDegreeThree), 15) => (9, 1.0),
+/// What a fault makes of function k.
+fn changed(k: usize, how: &How) -> (usize, f64) {
+    match (how.fault, k) {
+        (Some(Fault::ShSign), 1 | 3) => (k, -1.0),
+        (Some(Fault::ShOrder), 1) => (3, 1.0),
+        (Some(Fault::ShOrder), 3) => (1, 1.0),
+        (Some(Fault::ShConstant), 0) => (k, 0.5 / C[0] * 0.5),
+        (Some(Fault::ShDegreeThree), 9) => (15, 1.0),
+        (Some(Fault::ShDegreeThree), 15) => (9, 1.0),
         _ => (k, 1.0),
     }
 }
@@ -60,7 +60,7 @@ pub(crate) fn basis<const M: bool, const Z: bool>(
     how: &How,
 ) -> Vec<N<M, Z>> {
     let value = |k: usize| {
-        let (k, sign) = slipped(k, how);
+        let (k, sign) = changed(k, how);
         let terms = BASIS[k].iter().map(|(c, p)| monomial(sign * c, *p, d));
         terms.fold(N::ZERO, |sum, t| sum + t)
     };
@@ -74,7 +74,7 @@ pub(crate) fn tangent_gradient<const M: bool, const Z: bool>(
     how: &How,
 ) -> Vec<[N<M, Z>; 3]> {
     let slope = |k: usize| {
-        let (k, sign) = slipped(k, how);
+        let (k, sign) = changed(k, how);
         let g = [0, 1, 2].map(|axis| {
             let terms = BASIS[k].iter().filter(|(_, p)| p[axis] > 0).map(|(c, p)| {
                 let mut lower = *p;

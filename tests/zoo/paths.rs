@@ -1,11 +1,10 @@
-//! Trajectories laid over each other and judged, and the window of labels, written a second time, with their
-//! mistakes.
+//! Trajectories laid over each other and judged, and the window of labels, a second time, with their faults.
 
-use garad_golden::Case;
+use garad_conformance::Outputs;
 use nalgebra::{Matrix3, Vector3};
 
-use super::answers::{Out, put_f64};
-use super::second::{How, Slip};
+use super::answers::Given;
+use super::second::{Fault, How};
 
 /// x ↦ s R x + t.
 struct Motion {
@@ -30,29 +29,29 @@ fn align(from: &[Vector3<f64>], to: &[Vector3<f64>], scaled: bool, how: &How) ->
     let m = Matrix3::from_fn(entry);
     let svd = m.svd(true, true);
     let (u, v) = (svd.u.expect("asked"), svd.v_t.expect("asked"));
-    let v = if how.is(Slip::AlignTransposed) {
+    let v = if how.is(Fault::AlignTransposed) {
         v.transpose()
     } else {
         v
     };
-    let sign = match how.is(Slip::AlignMirrored) {
+    let sign = match how.is(Fault::AlignMirrored) {
         true => 1.0,
         false => (u * v).determinant().signum(),
     };
     let mut rotation = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v;
-    if how.slip.is_none() {
+    if how.fault.is_none() {
         rotation = polished(rotation, &m);
     }
     let spread = |side: fn(&(Vector3<f64>, Vector3<f64>)) -> f64| {
         how.sum.of(&pairs().map(|p| side(&p)).collect::<Vec<_>>())
     };
-    let variance = match how.is(Slip::AlignSpreadOfTarget) {
+    let variance = match how.is(Fault::AlignSpreadOfTarget) {
         true => spread(|(_, t)| t.norm_squared()),
         false => spread(|(f, _)| f.norm_squared()),
     };
-    let scaled = match how.slip {
-        Some(Slip::AlignScaledUnasked) => true,
-        Some(Slip::AlignNeverScaled) => false,
+    let scaled = match how.fault {
+        Some(Fault::AlignScaledUnasked) => true,
+        Some(Fault::AlignNeverScaled) => false,
         _ => scaled,
     };
     let scale = if scaled {
@@ -60,9 +59,9 @@ fn align(from: &[Vector3<f64>], to: &[Vector3<f64>], scaled: bool, how: &How) ->
     } else {
         1.0
     };
-    let shift = match how.slip {
-        Some(Slip::AlignShiftUnscaled) => target - rotation * middle,
-        Some(Slip::AlignShiftBackwards) => middle - rotation * target * scale,
+    let shift = match how.fault {
+        Some(Fault::AlignShiftUnscaled) => target - rotation * middle,
+        Some(Fault::AlignShiftBackwards) => middle - rotation * target * scale,
         _ => target - rotation * middle * scale,
     };
     Motion {
@@ -100,16 +99,11 @@ fn points(values: &[f64], stride: usize) -> Vec<Vector3<f64>> {
     rows.map(|r| Vector3::new(r[0], r[1], r[2])).collect()
 }
 
-fn put_motion(out: &mut Out, case: &Case, name: &str, motion: &Motion) {
-    let rows: Vec<f64> = motion.rotation.transpose().iter().copied().collect();
-    put_f64(out, case, &format!("{name}_rotation"), &rows);
-    put_f64(
-        out,
-        case,
-        &format!("{name}_translation"),
-        motion.shift.as_slice(),
-    );
-    put_f64(out, case, &format!("{name}_scale"), &[motion.scale]);
+fn put_motion(out: &mut Outputs, name: &str, motion: &Motion) {
+    let rows = motion.rotation.transpose();
+    out.put(&format!("{name}_rotation"), rows.iter().copied());
+    out.put(&format!("{name}_translation"), motion.shift.iter().copied());
+    out.put(&format!("{name}_scale"), [motion.scale]);
 }
 
 fn summary(errors: &[f64], how: &How) -> [f64; 7] {
@@ -124,16 +118,16 @@ fn summary(errors: &[f64], how: &How) -> [f64; 7] {
         .collect::<Vec<_>>());
     let mut sorted = errors.to_vec();
     sorted.sort_by(f64::total_cmp);
-    let rmse = match how.slip {
-        Some(Slip::AteMeanForRmse) => mean,
-        Some(Slip::AteRootOverCount) => sse.sqrt() / n,
+    let rmse = match how.fault {
+        Some(Fault::AteMeanForRmse) => mean,
+        Some(Fault::AteRootOverCount) => sse.sqrt() / n,
         _ => (sse / n).sqrt(),
     };
-    let median = match how.is(Slip::AteUpperMedian) {
+    let median = match how.is(Fault::AteUpperMedian) {
         true => sorted[errors.len() / 2],
         false => 0.5 * (sorted[(errors.len() - 1) / 2] + sorted[errors.len() / 2]),
     };
-    let degrees = if how.is(Slip::AteSampleDeviation) {
+    let degrees = if how.is(Fault::AteSampleDeviation) {
         n - 1.0
     } else {
         n
@@ -151,21 +145,21 @@ fn summary(errors: &[f64], how: &How) -> [f64; 7] {
 }
 
 /// Alignment and absolute errors; pairs and relative errors are garad's own.
-pub(super) fn trajectory(case: &Case, how: &How, out: &mut Out) {
+pub(super) fn trajectory(case: Given<'_>, how: &How, out: &mut Outputs) {
     let ways = [("rigid", false), ("similarity", true)];
-    if case.param_str("kind") == "alignment" {
-        let of = |name: &str| points(&case.input(name).f64(), 3);
+    if case.word("kind") == "alignment" {
+        let of = |name: &str| points(&case.reals(name), 3);
         for (name, scaled) in ways {
-            put_motion(out, case, name, &align(&of("from"), &of("to"), scaled, how));
+            put_motion(out, name, &align(&of("from"), &of("to"), scaled, how));
         }
         return;
     }
     let (truth, estimate) = (
-        points(&case.input("truth").f64(), 7),
-        points(&case.input("estimate").f64(), 7),
+        points(&case.reals("truth"), 7),
+        points(&case.reals("estimate"), 7),
     );
-    let (truth_t, estimate_t) = (case.input("truth_t").f64(), case.input("estimate_t").f64());
-    let times = out["pair_times"].as_ref().expect("garad's own").f64();
+    let (truth_t, estimate_t) = (case.reals("truth_t"), case.reals("estimate_t"));
+    let times = out.tensors()["pair_times"].f64();
     let index = |all: &[f64], t: f64| all.iter().position(|other| other.total_cmp(&t).is_eq());
     let mut pairs: Vec<(usize, usize)> = times
         .chunks(2)
@@ -174,13 +168,13 @@ pub(super) fn trajectory(case: &Case, how: &How, out: &mut Out) {
             pair.expect("times of the case")
         })
         .collect();
-    if how.is(Slip::PairsByIndex) {
+    if how.is(Fault::PairsByIndex) {
         pairs = (0..truth.len().min(estimate.len()))
             .map(|i| (i, i))
             .collect();
-        put_f64(out, case, "pairs", &[pairs.len() as f64]);
-        let times = pairs.iter().flat_map(|&(g, e)| [truth_t[g], estimate_t[e]]);
-        put_f64(out, case, "pair_times", &times.collect::<Vec<_>>());
+        out.put("pairs", [pairs.len()]);
+        let times = pairs.iter().map(|&(g, e)| [truth_t[g], estimate_t[e]]);
+        out.put("pair_times", times);
     }
     let to: Vec<_> = pairs.iter().map(|p| truth[p.0]).collect();
     let from: Vec<_> = pairs.iter().map(|p| estimate[p.1]).collect();
@@ -195,32 +189,32 @@ pub(super) fn trajectory(case: &Case, how: &How, out: &mut Out) {
             (t - (motion.rotation * f * motion.scale + motion.shift)).norm()
         };
         let errors: Vec<f64> = from.iter().zip(&to).map(apart).collect();
-        put_f64(out, case, &format!("{name}_errors"), &errors);
-        put_f64(out, case, &format!("{name}_ate"), &summary(&errors, how));
+        out.put(&format!("{name}_ate"), summary(&errors, how));
+        out.put(&format!("{name}_errors"), errors);
         if name != "none" {
-            put_motion(out, case, name, &motion);
+            put_motion(out, name, &motion);
         }
     }
 }
 
 /// Eq. 7, in both readings.
-pub(super) fn label_window(case: &Case, how: &How, out: &mut Out) {
-    let labels = case.input("labels").u8();
-    let runs = case.param_usize("runs");
-    let literal = match how.is(Slip::WindowOtherReading) {
-        true => case.param_str("reading") != "literal",
-        false => case.param_str("reading") == "literal",
+pub(super) fn label_window(case: Given<'_>, how: &How, out: &mut Outputs) {
+    let labels = case.tensor("labels").u8();
+    let runs = case.count("runs");
+    let literal = match how.is(Fault::WindowOtherReading) {
+        true => case.word("reading") != "literal",
+        false => case.word("reading") == "literal",
     };
-    let length = match how.slip {
-        Some(Slip::WindowOneShort) => runs - 1 + usize::from(literal),
-        Some(Slip::WindowOneLong) => runs + 1 + usize::from(literal),
+    let length = match how.fault {
+        Some(Fault::WindowOneShort) => runs - 1 + usize::from(literal),
+        Some(Fault::WindowOneLong) => runs + 1 + usize::from(literal),
         _ => runs + usize::from(literal),
     };
-    let at_rest = u8::from(how.is(Slip::WindowCountsDynamic));
+    let at_rest = u8::from(how.is(Fault::WindowCountsDynamic));
     let (mut scores, mut removed) = (Vec::new(), Vec::new());
     for now in 1..=labels.len() {
-        let full = now >= length || how.is(Slip::WindowNotYetFull);
-        let window = match how.is(Slip::WindowNeverSlides) {
+        let full = now >= length || how.is(Fault::WindowNotYetFull);
+        let window = match how.is(Fault::WindowNeverSlides) {
             true => &labels[..now.min(length)],
             false => &labels[now.saturating_sub(length)..now],
         };
@@ -233,8 +227,8 @@ pub(super) fn label_window(case: &Case, how: &How, out: &mut Out) {
             true => still == runs,
             false => still == 0,
         };
-        removed.push(f64::from(u8::from(full && gone)));
+        removed.push(full && gone);
     }
-    put_f64(out, case, "score", &scores);
-    put_f64(out, case, "removed", &removed);
+    out.put("score", scores);
+    out.put("removed", removed);
 }

@@ -1,129 +1,19 @@
-//! A renderer of its own in f32, forwards and backwards, whose mistakes and liberties can be switched on. It shares
-//! no code with garad: every pixel meets every splat.
+//! A renderer of its own in f32, forwards and backwards, with faults and ways to round that can be switched on. It
+//! shares no code with garad: every pixel meets every splat.
 
-use garad_golden::{Case, Dtype, Tensor};
+use garad_conformance::Outputs;
+use garad_golden::Tensor;
 
-use super::answers::{self, Out};
+use super::answers::Given;
 use super::blend::{Up, blend, blend_backward, order};
 use super::harmonics::{basis, tangent_gradient};
 use super::number::N;
-use super::splats::{CELL, Gaussians, Splat, View, project, project_backward, rotation};
-
-/// Mistakes, one at a time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Slip {
-    AbsoluteGradient,
-    ActivatedTwice,
-    AlphaLimitIgnored,
-    BackgroundInFull,
-    BackgroundMissing,
-    BackgroundNotInGradient,
-    BackgroundTwiceInGradient,
-    ClampGradientIgnored,
-    ClampOfZ,
-    CoarseExp,
-    ColumnMajor,
-    ConicFactor,
-    DepthNormalised,
-    DepthNotInGradient,
-    DirectionOfOtherCamera,
-    EarlyStop,
-    EmptyShape,
-    FootprintOfEight,
-    FootprintOfThirtyTwo,
-    HalfPixel,
-    JacobianAtCamera,
-    LastCountsSkipped,
-    LengthForgotten,
-    MaskBySortedIndex,
-    NoAlphaLimit,
-    NoAlphaThreshold,
-    NoClamp,
-    NoDilation,
-    NoGradientThroughDirection,
-    NoStop,
-    OpacityCompensated,
-    OpacityForLogit,
-    PaddingDrawsZero,
-    PayloadOverwritten,
-    PlainDeterminant,
-    PoseFromTheRight,
-    PoseWithoutJacobian,
-    PremultipliedTwice,
-    PrincipalPoint,
-    QuaternionNotNormalised,
-    QuaternionNotProjected,
-    QuaternionOrder,
-    ScaleForLogScale,
-    ShConstant,
-    ShDegreeThree,
-    ShOrder,
-    ShRestNotZeroed,
-    ShSign,
-    SortByDistance,
-    SortDoublesOne,
-    SortDropsOne,
-    SortInHalf,
-    SortReversed,
-    SubtleConic,
-    TooFewTiles,
-    TransmittanceBehind,
-    TwoSigma,
-    WorldForCamera,
-}
-
-/// In which order pixels are added up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Walk {
-    Rows,
-    Columns,
-    Backwards,
-    /// Squares of so many pixels, each summed by itself.
-    Tiles(i64),
-    /// Two neighbours, then all of these.
-    Pairs,
-}
-
-/// How the exponent is put together.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Density {
-    /// a dx² + 2 b dx dy + c dy².
-    Plain,
-    /// dᵀ (conic d).
-    Product,
-    /// As a sum of squares.
-    Slanted,
-}
-
-/// One backend.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct How {
-    pub(crate) slip: Option<Slip>,
-    pub(crate) walk: Walk,
-    pub(crate) density: Density,
-    pub(crate) exp_ulp: u32,
-}
-
-impl How {
-    pub(crate) const PLAIN: Self = Self {
-        slip: None,
-        walk: Walk::Rows,
-        density: Density::Slanted,
-        exp_ulp: 0,
-    };
-
-    pub(crate) fn footprint_cell(&self) -> i64 {
-        match self.slip {
-            Some(Slip::FootprintOfEight) => 8,
-            Some(Slip::FootprintOfThirtyTwo) => 32,
-            _ => CELL,
-        }
-    }
-}
+use super::rendering::{Density, Fault, How, Walk};
+use super::splats::{Gaussians, Splat, View, project, project_backward, rotation};
 
 /// Which processor, and how.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Backend {
+pub(crate) struct Renderer {
     pub(crate) fma: bool,
     pub(crate) ftz: bool,
     pub(crate) how: How,
@@ -131,8 +21,19 @@ pub(crate) struct Backend {
 
 pub(crate) const STAGES: [&str; 4] = ["sh", "projection_covariance", "raster", "raster_backward"];
 
-impl Backend {
-    pub(crate) fn answer(&self, case: &Case) -> Out {
+impl Renderer {
+    pub(crate) fn faulty(fault: Fault) -> Self {
+        let how = How {
+            fault: Some(fault),
+            walk: Walk::Rows,
+            density: Density::Slanted,
+            exp_ulp: 0,
+        };
+        let (fma, ftz) = (false, false);
+        Self { fma, ftz, how }
+    }
+
+    pub(crate) fn answer(&self, case: Given<'_>) -> Outputs {
         match (self.fma, self.ftz) {
             (false, false) => answer::<false, false>(case, &self.how),
             (true, false) => answer::<true, false>(case, &self.how),
@@ -142,8 +43,8 @@ impl Backend {
     }
 }
 
-fn answer<const M: bool, const Z: bool>(case: &Case, how: &How) -> Out {
-    match case.stage() {
+fn answer<const M: bool, const Z: bool>(case: Given<'_>, how: &How) -> Outputs {
+    match case.0.stage() {
         "sh" => harmonics::<M, Z>(case, how),
         "projection_covariance" => projection::<M, Z>(case, how),
         "raster" => forward::<M, Z>(case, how),
@@ -151,13 +52,13 @@ fn answer<const M: bool, const Z: bool>(case: &Case, how: &How) -> Out {
     }
 }
 
-fn column<const M: bool, const Z: bool>(case: &Case, name: &str) -> Vec<N<M, Z>> {
-    let there = case.try_input(name).map(Tensor::f64);
+fn column<const M: bool, const Z: bool>(case: Given<'_>, name: &str) -> Vec<N<M, Z>> {
+    let there = case.get(name).map(Tensor::f64);
     there.unwrap_or_default().into_iter().map(N::new).collect()
 }
 
 fn rows<const M: bool, const Z: bool, const K: usize>(
-    case: &Case,
+    case: Given<'_>,
     name: &str,
 ) -> Vec<[N<M, Z>; K]> {
     let all = column(case, name);
@@ -174,7 +75,7 @@ fn single<const M: bool, const Z: bool>(values: &[N<M, Z>]) -> Vec<f32> {
 
 type Scene<const M: bool, const Z: bool> = (Gaussians<M, Z>, View<M, Z>, Vec<Splat<M, Z>>);
 
-fn scene<const M: bool, const Z: bool>(case: &Case, how: &How) -> Scene<M, Z> {
+fn scene<const M: bool, const Z: bool>(case: Given<'_>, how: &How) -> Scene<M, Z> {
     let means = rows::<M, Z, 3>(case, "means");
     let triples = rows::<M, Z, 3>(case, "sh");
     let per = triples.len() / means.len().max(1);
@@ -185,17 +86,20 @@ fn scene<const M: bool, const Z: bool>(case: &Case, how: &How) -> Scene<M, Z> {
         sh: triples.chunks(per.max(1)).map(<[_]>::to_vec).collect(),
         means,
     };
-    let plain = How { slip: None, ..*how };
+    let plain = How {
+        fault: None,
+        ..*how
+    };
     let w = rotation(&rows(case, "camera_from_world_q")[0], &plain);
     let t = rows::<M, Z, 3>(case, "camera_from_world_t")[0];
-    let (w, t) = match how.slip {
-        Some(Slip::WorldForCamera) => {
+    let (w, t) = match how.fault {
+        Some(Fault::WorldForCamera) => {
             let back = super::number::transposed(&w);
             (back, super::number::apply(&back, &t).map(|v| -v))
         }
         _ => (w, t),
     };
-    let size = ["width", "height"].map(|n| i64::try_from(case.param_usize(n)).unwrap_or(0));
+    let size = ["width", "height"].map(|n| i64::try_from(case.count(n)).unwrap_or(0));
     let view = View {
         w,
         t,
@@ -208,7 +112,7 @@ fn scene<const M: bool, const Z: bool>(case: &Case, how: &How) -> Scene<M, Z> {
     (gaussians, view, splats)
 }
 
-fn harmonics<const M: bool, const Z: bool>(case: &Case, how: &How) -> Out {
+fn harmonics<const M: bool, const Z: bool>(case: Given<'_>, how: &How) -> Outputs {
     let directions = rows::<M, Z, 3>(case, "direction");
     let triples = rows::<M, Z, 3>(case, "sh");
     let n = triples.len() / directions.len();
@@ -228,81 +132,61 @@ fn harmonics<const M: bool, const Z: bool>(case: &Case, how: &How) -> Out {
         }
         values.extend(b);
     }
-    let mut out = Out::new();
-    answers::put_f32(&mut out, case, "basis", &single(&values));
-    answers::put_f32(&mut out, case, "tangent_gradient", &flat(&slopes));
-    answers::put_f32(&mut out, case, "color", &flat(&colors));
+    let mut out = Outputs::default();
+    out.put("basis", single(&values));
+    out.put("tangent_gradient", flat(&slopes));
+    out.put("color", flat(&colors));
     out
 }
 
-fn geometry<const M: bool, const Z: bool>(out: &mut Out, case: &Case, splats: &[&Splat<M, Z>]) {
+fn geometry<const M: bool, const Z: bool>(out: &mut Outputs, splats: &[&Splat<M, Z>]) {
     let take = |f: &dyn Fn(&Splat<M, Z>) -> Vec<N<M, Z>>| -> Vec<f32> {
         splats.iter().flat_map(|s| f(s)).map(|v| v.0).collect()
     };
-    answers::put_f32(out, case, "mean_px", &take(&|s| s.mean_px.to_vec()));
-    answers::put_f32(out, case, "depth_m", &take(&|s| vec![s.depth_m]));
-    answers::put_f32(out, case, "conic", &take(&|s| s.conic.to_vec()));
+    out.put("mean_px", take(&|s| s.mean_px.to_vec()));
+    out.put("depth_m", take(&|s| vec![s.depth_m]));
+    out.put("conic", take(&|s| s.conic.to_vec()));
 }
 
-fn projection<const M: bool, const Z: bool>(case: &Case, how: &How) -> Out {
+fn projection<const M: bool, const Z: bool>(case: Given<'_>, how: &How) -> Outputs {
     let (_, _, splats) = scene::<M, Z>(case, how);
-    let mut out = Out::new();
+    let mut out = Outputs::default();
     let p: Vec<[N<M, Z>; 3]> = splats.iter().map(|s| s.p).collect();
     let r: Vec<[N<M, Z>; 3]> = splats.iter().flat_map(|s| s.r).collect();
-    answers::put_f32(&mut out, case, "p_cam", &flat(&p));
-    answers::put_f32(&mut out, case, "rotation", &flat(&r));
+    out.put("p_cam", flat(&p));
+    out.put("rotation", flat(&r));
     let visible: Vec<&Splat<M, Z>> = splats.iter().filter(|s| s.visible).collect();
-    geometry(&mut out, case, &visible);
-    answers::put_i64(&mut out, case, "radius", visible.iter().map(|s| s.radius));
-    answers::put_i64(
-        &mut out,
-        case,
-        "footprint",
-        visible.iter().flat_map(|s| s.footprint),
-    );
+    geometry(&mut out, &visible);
+    out.put("radius", visible.iter().map(|s| s.radius));
+    out.put("footprint", visible.iter().map(|s| s.footprint));
     out
 }
 
-fn forward<const M: bool, const Z: bool>(case: &Case, how: &How) -> Out {
+fn forward<const M: bool, const Z: bool>(case: Given<'_>, how: &How) -> Outputs {
     let (_, view, splats) = scene::<M, Z>(case, how);
     let order = order(&splats, how);
     let background = rows(case, "background")[0];
-    let pictures = blend(&splats, &order, view.size, &background, how);
-    let mut out = Out::new();
-    answers::put_f32(&mut out, case, "color", &flat(&pictures.color));
-    answers::put_f32(&mut out, case, "depth", &single(&pictures.depth));
-    answers::put_f32(&mut out, case, "transmittance", &single(&pictures.left));
-    answers::put_i64(
-        &mut out,
-        case,
-        "contributors",
-        pictures.count.iter().map(|v| i64::from(*v)),
-    );
-    answers::put_i64(
-        &mut out,
-        case,
-        "last",
-        pictures.last.iter().map(|v| i64::from(*v)),
-    );
-    answers::put_i64(&mut out, case, "radii", splats.iter().map(|s| s.radius));
-    answers::put_i64(
-        &mut out,
-        case,
-        "order",
-        order.iter().map(|i| i64::try_from(*i).unwrap_or(-1)),
-    );
+    let images = blend(&splats, &order, view.size, &background, how);
+    let mut out = Outputs::default();
+    out.put("color", flat(&images.color));
+    out.put("depth", single(&images.depth));
+    out.put("transmittance", single(&images.left));
+    out.put("contributors", images.count);
+    out.put("last", images.last);
+    out.put("radii", splats.iter().map(|s| s.radius));
+    out.put("order", order.iter().copied());
     let sorted: Vec<&Splat<M, Z>> = order.iter().map(|&i| &splats[i]).collect();
-    geometry(&mut out, case, &sorted);
+    geometry(&mut out, &sorted);
     let colors: Vec<[N<M, Z>; 3]> = sorted.iter().map(|s| s.color).collect();
-    answers::put_f32(&mut out, case, "splat_color", &flat(&colors));
+    out.put("splat_color", flat(&colors));
     out
 }
 
-fn backward<const M: bool, const Z: bool>(case: &Case, how: &How) -> Out {
+fn backward<const M: bool, const Z: bool>(case: Given<'_>, how: &How) -> Outputs {
     let (gaussians, view, splats) = scene::<M, Z>(case, how);
     let order = order(&splats, how);
     let background = rows(case, "background")[0];
-    let pass_through = case.param_str("clamp_gradient") == "pass_through";
+    let pass_through = case.word("clamp_gradient") == "pass_through";
     let (color, depth, opacity) = (
         rows(case, "upstream_color"),
         column(case, "upstream_depth"),
@@ -341,7 +225,7 @@ fn backward<const M: bool, const Z: bool>(case: &Case, how: &How) -> Out {
     let take = |f: &dyn Fn(usize) -> Vec<N<M, Z>>| -> Vec<f32> {
         (0..found.len()).flat_map(f).map(|v| v.0).collect()
     };
-    let mut out = Out::new();
+    let mut out = Outputs::default();
     for (name, values) in [
         ("d_means", take(&|i| found[i].mean.to_vec())),
         ("d_log_scales", take(&|i| found[i].log_scale.to_vec())),
@@ -355,11 +239,10 @@ fn backward<const M: bool, const Z: bool>(case: &Case, how: &How) -> Out {
         ("d_colors", take(&|i| by_pixel[i].color.to_vec())),
         ("d_depths", take(&|i| vec![by_pixel[i].depth])),
     ] {
-        answers::put_f32(&mut out, case, name, &values);
+        out.put(name, values);
     }
-    if how.slip == Some(Slip::EmptyShape) && found.is_empty() {
-        let odd = Tensor::from_bytes(Dtype::F32, vec![0, 0, 3], Vec::new());
-        out.insert("d_sh".to_owned(), odd.ok_or_else(String::new));
+    if how.fault == Some(Fault::EmptyShape) && found.is_empty() {
+        out.shaped("d_sh", &[0, 0], std::iter::empty::<[f32; 3]>());
     }
     out
 }

@@ -1,128 +1,149 @@
-//! Stages written a second time from their definitions, in f64 or as the case asks: their mistakes, their liberties,
-//! and where each is written.
+//! How a stage that is written a second time computes: its faults, and its order of summation.
 
-use garad::conformance::own::{self, Width};
-use garad_golden::Case;
+use super::faults::faults;
 
-use super::answers::Out;
-use super::{adjust, corners, formulas, paths, tracks};
-
-/// Mistakes, one at a time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Slip {
-    // formulas.rs
-    AdamConstantCorrection,
-    AdamEpsilonInRoot,
-    AdamEpsilonScaled,
-    AdamNoCorrection,
-    CameraKalibr,
-    CameraRadialFirst,
-    CameraRadiusUpdated,
-    CameraTangentialFlipped,
-    CameraTangentialSwapped,
-    EpipolarCalibrationTransposed,
-    EpipolarOrder,
-    HuberHalfWeight,
-    HuberWithoutConstant,
-    KernelWithoutHalf,
-    FieldNormalisedOtherwise,
-    FieldPushes,
-    FieldOneIterationLess,
-    Se3LinearPartUnchanged,
-    Se3RotationForJacobian,
-    SsimConstantsOfBytes,
-    SsimFlatWindow,
-    SsimReflects,
-    SsimThirteenTaps,
-    // corners.rs
-    FastArcOfTwelve,
-    FastArcOpen,
-    FastBorderOfFour,
-    FastBytesWrap,
-    FastCircleSwapped,
-    FastNoSuppression,
-    FastNotStrict,
-    FastRowEndLost,
-    FastSumForScore,
-    FastTiesStay,
-    MatchBytes,
-    MatchEuclid,
-    MatchHalfMutual,
-    MatchLaneForgotten,
-    MatchLaterOfEquals,
-    MatchOneWay,
-    MatchPairsOfBits,
-    MatchSecondForgotten,
-    OrbAngleInRadians,
-    OrbAngleOfBlurred,
-    OrbBitsReversed,
-    OrbComparedTheOtherWay,
-    OrbDegreesForRadians,
-    OrbMomentsExchanged,
-    OrbNotBlurred,
-    OrbNotTurned,
-    OrbPlaceOfTheLevel,
-    OrbPlacesCutOff,
-    OrbSquarePatch,
-    OrbTurnedBack,
-    // tracks.rs
-    LkBorderRepeats,
-    LkGateOfGreyLevels,
-    LkGateUnscaled,
-    LkLevelOffByOne,
-    LkNotDoubled,
-    LkOneStep,
-    LkPlainDifferences,
-    LkResidualUnscaled,
-    LkSobel,
-    LkStartNotCarried,
-    LkStepBackwards,
-    LkWholePixels,
-    LkWindowOfTwenty,
-    LkWindowOfTwentyThree,
-    // adjust.rs
-    CostNotHalved,
-    DepthIgnored,
-    FixedViewsDropped,
-    FxForFy,
-    GateOfTwo,
-    GaugeNotFixed,
-    JacobianNotWeighted,
-    KneeOfTwo,
-    KneeSquared,
-    NoKernel,
-    NormalisedForPixels,
-    OutliersForGood,
-    PerturbedOnTheRight,
-    PointNotTurned,
-    PointsHeld,
-    PoseInverted,
-    RightOnTheLeft,
-    RotationFirst,
-    RotationSign,
-    ShiftNotTurned,
-    SigmaForgotten,
-    SigmaSquared,
-    WeightOfTheSquare,
-    // paths.rs
-    AlignMirrored,
-    AlignNeverScaled,
-    AlignScaledUnasked,
-    AlignShiftBackwards,
-    AlignShiftUnscaled,
-    AlignSpreadOfTarget,
-    AlignTransposed,
-    AteMeanForRmse,
-    AteRootOverCount,
-    AteSampleDeviation,
-    AteUpperMedian,
-    PairsByIndex,
-    WindowCountsDynamic,
-    WindowNeverSlides,
-    WindowNotYetFull,
-    WindowOneLong,
-    WindowOneShort,
-    WindowOtherReading,
+faults! {
+    "se3" {
+        Se3RotationForJacobian "strasdat/Sophus#186"
+        Se3LinearPartUnchanged "gbionics/idyntree#561"
+    }
+    "camera" {
+        CameraTangentialSwapped "nerfstudio-project/nerfstudio#3714"
+        CameraTangentialFlipped "nerfstudio-project/nerfstudio#2627"
+        CameraRadialFirst "nvidia-isaac/cuVSLAM#151"
+        CameraKalibr "ethz-asl/kalibr#698"
+        CameraRadiusUpdated "realsenseai/librealsense#939"
+    }
+    "epipolar" {
+        EpipolarOrder "magicleap/SuperGluePretrainedNetwork#84"
+        EpipolarCalibrationTransposed "Foundations-of-Computer-Vision/visionbook#88"
+    }
+    "robust" {
+        HuberHalfWeight "KumarRobotics/msckf_vio#85"
+        HuberWithoutConstant "tum-vision/lsd_slam#120"
+    }
+    "kernel" {
+        KernelWithoutHalf "lucasb-eyer/pydensecrf#118"
+    }
+    "mean_field" {
+        FieldNormalisedOtherwise "NifTK/NiftyNet#211"
+        FieldPushes "port"
+        FieldOneIterationLess "port"
+    }
+    "losses" {
+        SsimFlatWindow "chinue/Fast-SSIM#4"
+        SsimConstantsOfBytes "Po-Hsun-Su/pytorch-ssim#17"
+        SsimThirteenTaps "scikit-image/scikit-image#3802"
+        SsimReflects "kornia/kornia#1204"
+    }
+    "adam" {
+        AdamNoCorrection "port"
+        AdamConstantCorrection "ufal/npfl114#79"
+        AdamEpsilonInRoot "keras-team/keras#17391"
+        AdamEpsilonScaled "tensorflow/tensorflow#9047"
+    }
+    "fast" {
+        FastCircleSwapped "image-rs/imageproc#680"
+        FastRowEndLost "webarkit/jsfeatNext#202"
+        FastSumForScore "kornia/kornia-rs#343"
+        FastArcOfTwelve "port"
+        FastArcOpen "port"
+        FastBorderOfFour "port"
+        FastBytesWrap "port"
+        FastNoSuppression "port"
+        FastNotStrict "port"
+        FastTiesStay "port"
+    }
+    "orb" {
+        OrbNotBlurred "webarkit/purecv#124"
+        OrbAngleInRadians "fixstars/cuda-efficient-features#1"
+        OrbDegreesForRadians "opencv/opencv#5768"
+        OrbMomentsExchanged "opencv/opencv#11065"
+        OrbAngleOfBlurred "port"
+        OrbBitsReversed "port"
+        OrbComparedTheOtherWay "port"
+        OrbNotTurned "port"
+        OrbPlaceOfTheLevel "port"
+        OrbPlacesCutOff "port"
+        OrbSquarePatch "port"
+        OrbTurnedBack "port"
+    }
+    "matching" {
+        MatchEuclid "gestom/stroll_bearnav#51"
+        MatchPairsOfBits "opencv/opencv#7989"
+        MatchHalfMutual "opencv/opencv#11855"
+        MatchSecondForgotten "Celebrandil/CudaSift#75"
+        MatchBytes "port"
+        MatchLaneForgotten "port"
+        MatchLaterOfEquals "port"
+        MatchOneWay "port"
+    }
+    "lk" {
+        LkSobel "webarkit/purecv#143"
+        LkGateUnscaled "webarkit/purecv#143"
+        LkWindowOfTwentyThree "webarkit/purecv#144"
+        LkLevelOffByOne "JuliaImages/ImageTracking.jl#34"
+        LkResidualUnscaled "opencv/opencv#8608"
+        LkBorderRepeats "port"
+        LkGateOfGreyLevels "port"
+        LkNotDoubled "port"
+        LkOneStep "port"
+        LkPlainDifferences "port"
+        LkStartNotCarried "port"
+        LkStepBackwards "port"
+        LkWholePixels "port"
+        LkWindowOfTwenty "port"
+    }
+    "reprojection" {
+        PerturbedOnTheRight "cashiwamochi/SimpleBundleAdjustment#1"
+        NormalisedForPixels "UZ-SLAMLab/ORB_SLAM3#133"
+        FxForFy "sair-lab/AirSLAM#134"
+        PointNotTurned "port"
+        RightOnTheLeft "port"
+        RotationFirst "port"
+        RotationSign "port"
+        ShiftNotTurned "port"
+        SigmaForgotten "port"
+        SigmaSquared "port"
+    }
+    "pose_lm" {
+        KneeSquared "openMVG/openMVG#1373"
+        CostNotHalved "port"
+        GateOfTwo "port"
+        JacobianNotWeighted "port"
+        KneeOfTwo "port"
+        NoKernel "port"
+        OutliersForGood "port"
+        PoseInverted "port"
+        WeightOfTheSquare "port"
+    }
+    "bundle" {
+        FixedViewsDropped "port"
+        GaugeNotFixed "port"
+        PointsHeld "port"
+    }
+    "trajectory" {
+        AlignMirrored "kornia/kornia-rs#799"
+        AlignTransposed "iperov/DeepFaceLab#453"
+        AlignNeverScaled "PointCloudLibrary/pcl#45"
+        AlignShiftUnscaled "PointCloudLibrary/pcl#885"
+        AlignShiftBackwards "cgraumann/umeyama-matlab#1"
+        AteRootOverCount "tinghuiz/SfMLearner#75"
+        PairsByIndex "AutoLab-SAI-SJTU/InfiniteVGGT#18"
+        AlignScaledUnasked "port"
+        AlignSpreadOfTarget "port"
+        AteMeanForRmse "port"
+        AteSampleDeviation "port"
+        AteUpperMedian "port"
+    }
+    "label_window" {
+        WindowCountsDynamic "port"
+        WindowNeverSlides "port"
+        WindowNotYetFull "port"
+        WindowOneLong "port"
+        WindowOneShort "port"
+        WindowOtherReading "port"
+    }
 }
 
 /// In which order sums are added.
@@ -148,66 +169,15 @@ impl Sum {
     }
 }
 
-/// One backend.
+/// One port.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct How {
-    pub(crate) slip: Option<Slip>,
+    pub(crate) fault: Option<Fault>,
     pub(crate) sum: Sum,
 }
 
 impl How {
-    pub(crate) fn is(&self, slip: Slip) -> bool {
-        self.slip == Some(slip)
+    pub(crate) fn is(&self, fault: Fault) -> bool {
+        self.fault == Some(fault)
     }
-}
-
-/// Stages by the file they are written in: a mistake of one file leaves the others as they are.
-pub(crate) const GROUPS: [&[&str]; 5] = [
-    &[
-        "se3",
-        "camera",
-        "epipolar",
-        "robust",
-        "kernel",
-        "mean_field",
-        "losses",
-        "adam",
-    ],
-    &["fast", "orb", "matching"],
-    &["lk"],
-    &["reprojection", "pose_lm", "bundle"],
-    &["trajectory", "label_window"],
-];
-
-/// garad's own answer, for what a stage is not written a second time for.
-pub(crate) fn own(case: &Case) -> Out {
-    let own = own::answers(case, Width::F64).expect("a sound case");
-    own.unwrap_or_default()
-}
-
-/// The stage's answer over garad's own.
-pub(crate) fn answer(case: &Case, own: &Out, how: &How) -> Out {
-    let mut out = own.clone();
-    let stage = match case.stage() {
-        "se3" => formulas::se3,
-        "camera" => formulas::camera,
-        "epipolar" => formulas::epipolar,
-        "robust" => formulas::robust,
-        "kernel" => formulas::kernel,
-        "mean_field" => formulas::mean_field,
-        "losses" => formulas::losses,
-        "adam" => formulas::adam,
-        "fast" => corners::fast,
-        "orb" => corners::orb,
-        "matching" => corners::matching,
-        "lk" => tracks::lucas_kanade,
-        "reprojection" => adjust::reprojection,
-        "pose_lm" => adjust::pose,
-        "bundle" => adjust::bundle,
-        "trajectory" => paths::trajectory,
-        "label_window" => paths::label_window,
-        other => unreachable!("{other} is in no group"),
-    };
-    stage(case, how, &mut out);
-    out
 }

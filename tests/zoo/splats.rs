@@ -2,12 +2,11 @@
 
 use super::harmonics::{basis, tangent_gradient};
 use super::number::{Mat, N, apply, cross, dot, transposed};
-use super::raster::{How, Slip};
+use super::rendering::{Fault, How};
 
 const NEAR_M: f64 = 0.2;
 const BLUR_PX2: f64 = 0.3;
 const CLAMP: f64 = 1.3;
-pub(crate) const CELL: i64 = 16;
 
 /// Rows as a case has them.
 #[derive(Debug, Clone, Default)]
@@ -61,12 +60,12 @@ fn unit<const M: bool, const Z: bool>(q: &[N<M, Z>; 4]) -> ([N<M, Z>; 4], N<M, Z
 
 /// Of (w, x, y, z).
 pub(crate) fn rotation<const M: bool, const Z: bool>(q: &[N<M, Z>; 4], how: &How) -> Mat<M, Z> {
-    let q = match how.slip {
-        Some(Slip::QuaternionOrder) => [q[3], q[0], q[1], q[2]],
+    let q = match how.fault {
+        Some(Fault::QuaternionOrder) => [q[3], q[0], q[1], q[2]],
         _ => *q,
     };
-    let [w, x, y, z] = match how.slip {
-        Some(Slip::QuaternionNotNormalised) => q,
+    let [w, x, y, z] = match how.fault {
+        Some(Fault::QuaternionNotNormalised) => q,
         _ => unit(&q).0,
     };
     let (one, two) = (N::ONE, N::new(2.0));
@@ -87,8 +86,8 @@ pub(crate) fn rotation<const M: bool, const Z: bool>(q: &[N<M, Z>; 4], how: &How
             one - two * (x * x + y * y),
         ],
     ];
-    match how.slip {
-        Some(Slip::ColumnMajor) => transposed(&m),
+    match how.fault {
+        Some(Fault::ColumnMajor) => transposed(&m),
         _ => m,
     }
 }
@@ -112,7 +111,7 @@ pub(crate) fn project<const M: bool, const Z: bool>(
     let (w, [fx, fy, mut cx, mut cy], [width, height]) = (&view.w, view.k, view.size);
     let two = N::new(2.0);
     let size = [width, height].map(|n| N::new(n as f64));
-    if how.slip == Some(Slip::PrincipalPoint) {
+    if how.fault == Some(Fault::PrincipalPoint) {
         (cx, cy) = ((size[0] - N::ONE) / two, (size[1] - N::ONE) / two);
     }
     let turned = apply(w, &g.means[i]);
@@ -126,11 +125,11 @@ pub(crate) fn project<const M: bool, const Z: bool>(
         let free = p[a] / z;
         slope[a] = free.max(-limit).min(limit);
         clamped[a] = free.abs() > limit;
-        match how.slip {
-            Some(Slip::NoClamp) => (slope[a], clamped[a]) = (free, false),
+        match how.fault {
+            Some(Fault::NoClamp) => (slope[a], clamped[a]) = (free, false),
             // z against the limit of x/z.
-            Some(Slip::ClampOfZ) => slope[a] = p[a] / z.min(limit),
-            Some(Slip::JacobianAtCamera) => slope[a] = view.t[a] / z,
+            Some(Fault::ClampOfZ) => slope[a] = p[a] / z.min(limit),
+            Some(Fault::JacobianAtCamera) => slope[a] = view.t[a] / z,
             _ => {}
         }
     }
@@ -139,7 +138,7 @@ pub(crate) fn project<const M: bool, const Z: bool>(
     let r = rotation(&g.quaternions[i], how);
     let sigma = g.log_scales[i].map(N::exp);
     let m = [0, 1].map(|a| [0, 1, 2].map(|c| dot(&jw[a], &[r[0][c], r[1][c], r[2][c]]) * sigma[c]));
-    let blur = N::new(if how.slip == Some(Slip::NoDilation) {
+    let blur = N::new(if how.fault == Some(Fault::NoDilation) {
         0.0
     } else {
         BLUR_PX2
@@ -149,15 +148,15 @@ pub(crate) fn project<const M: bool, const Z: bool>(
     let minors = [minor(0, 1), minor(1, 2), minor(0, 2)];
     let sharp = dot(&minors, &minors);
     let cov = [xx + blur, xy, yy + blur];
-    let det = match how.slip {
-        Some(Slip::PlainDeterminant) => cov[0] * cov[2] - xy * xy,
+    let det = match how.fault {
+        Some(Fault::PlainDeterminant) => cov[0] * cov[2] - xy * xy,
         _ => sharp + blur * (xx + yy) + blur * blur,
     };
     let conic = [cov[2] / det, -xy / det, cov[0] / det];
     let half = (xx - yy) / two;
     let largest = (cov[0] + cov[2]) / two + (half * half + xy * xy).max(N::new(0.1)).sqrt();
     let mut radius = N::new(3.0) * largest.sqrt();
-    if how.slip == Some(Slip::TwoSigma) {
+    if how.fault == Some(Fault::TwoSigma) {
         radius = two * largest.sqrt();
     }
     let radius = whole(radius.0.ceil());
@@ -175,9 +174,9 @@ pub(crate) fn project<const M: bool, const Z: bool>(
     // Colour and opacity.
     let back = transposed(w);
     let center = apply(&back, &view.t);
-    let offset = match how.slip {
+    let offset = match how.fault {
         // The camera of another view.
-        Some(Slip::DirectionOfOtherCamera) => g.means[i],
+        Some(Fault::DirectionOfOtherCamera) => g.means[i],
         _ => [0, 1, 2].map(|k| g.means[i][k] + center[k]),
     };
     let distance = dot(&offset, &offset).sqrt();
@@ -186,19 +185,19 @@ pub(crate) fn project<const M: bool, const Z: bool>(
     let basis = basis(&direction, sh.len(), how);
     let color = [0, 1, 2].map(|c| {
         let terms = basis.iter().zip(sh);
-        let terms = terms.enumerate().map(|(k, (b, f))| match how.slip {
+        let terms = terms.enumerate().map(|(k, (b, f))| match how.fault {
             // Coefficients that the file lacks are what stood there before.
-            Some(Slip::ShRestNotZeroed) if k > 0 && sh.len() == 4 => *b * sh[0][c],
+            Some(Fault::ShRestNotZeroed) if k > 0 && sh.len() == 4 => *b * sh[0][c],
             _ => *b * f[c],
         });
         terms.fold(N::new(0.5), |sum, t| sum + t)
     });
     let logit = g.opacity_logits.get(i).copied().unwrap_or_default();
     let mut opacity = sigmoid(logit);
-    match how.slip {
-        Some(Slip::ActivatedTwice) => opacity = sigmoid(opacity),
-        Some(Slip::OpacityCompensated) => opacity = opacity * (sharp / det).sqrt(),
-        Some(Slip::CoarseExp) => opacity = opacity * N::new(1.0 + 1e-4),
+    match how.fault {
+        Some(Fault::ActivatedTwice) => opacity = sigmoid(opacity),
+        Some(Fault::OpacityCompensated) => opacity = opacity * (sharp / det).sqrt(),
+        Some(Fault::CoarseExp) => opacity = opacity * N::new(1.0 + 1e-4),
         _ => {}
     }
     Splat {
@@ -226,7 +225,7 @@ pub(crate) fn project<const M: bool, const Z: bool>(
     }
 }
 
-/// Gradients by what the picture is made of.
+/// Gradients by what the image is made of.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ByPixel<const M: bool, const Z: bool> {
     pub(crate) mean_px: [N<M, Z>; 2],
@@ -291,13 +290,13 @@ pub(crate) fn project_backward<const M: bool, const Z: bool>(
     let d_r: Mat<M, Z> =
         [0, 1, 2].map(|a| [0, 1, 2].map(|b| s.jw[0][a] * scaled[0][b] + s.jw[1][a] * scaled[1][b]));
     let mut log_scale = [0, 1, 2].map(|k| s.m[0][k] * dm[0][k] + s.m[1][k] * dm[1][k]);
-    if how.slip == Some(Slip::ScaleForLogScale) {
+    if how.fault == Some(Fault::ScaleForLogScale) {
         log_scale = [0, 1, 2].map(|k| log_scale[k] / s.sigma[k]);
     }
     let h = d_jw.map(|row| apply(w, &row));
     let ds = [0, 1].map(|a| -s.f_over_z[a] * h[a][2]);
     let held = [0, 1].map(|a| if s.clamped[a] { N::ZERO } else { ds[a] });
-    let pass_through = pass_through || how.slip == Some(Slip::ClampGradientIgnored);
+    let pass_through = pass_through || how.fault == Some(Fault::ClampGradientIgnored);
     let in_z = if pass_through { ds } else { held };
     let mut d_p = [held[0] / z, held[1] / z, N::ZERO];
     let along = dot(&d_jw[0], &s.jw[0]) + dot(&d_jw[1], &s.jw[1]);
@@ -315,7 +314,7 @@ pub(crate) fn project_backward<const M: bool, const Z: bool>(
     let lit = [0, 1, 2].map(|c| if s.lit[c] { d.color[c] } else { N::ZERO });
     let sh: Vec<_> = s.basis.iter().map(|b| lit.map(|l| *b * l)).collect();
     let mut d_offset = [N::ZERO; 3];
-    if how.slip != Some(Slip::NoGradientThroughDirection) {
+    if how.fault != Some(Fault::NoGradientThroughDirection) {
         let slopes = tangent_gradient(&s.direction, n, how);
         for (f, slope) in g.sh[i].iter().zip(&slopes) {
             let weight = dot(f, &lit);
@@ -329,17 +328,17 @@ pub(crate) fn project_backward<const M: bool, const Z: bool>(
     let moved = apply(w, &d_offset);
     let arm = cross(&s.p, &d_p);
     let mut opacity_logit = d.opacity * s.opacity * (N::ONE - s.opacity);
-    if how.slip == Some(Slip::OpacityForLogit) {
+    if how.fault == Some(Fault::OpacityForLogit) {
         opacity_logit = d.opacity;
     }
     let mut pose = [N::ZERO; 6];
     for k in 0..3 {
         pose[k] = d_p[k] + moved[k];
         pose[3 + k] = arm[k] + t0[k] + t1[k];
-        if how.slip == Some(Slip::PoseFromTheRight) {
+        if how.fault == Some(Fault::PoseFromTheRight) {
             pose[k] = back[k];
         }
-        if how.slip == Some(Slip::PoseWithoutJacobian) {
+        if how.fault == Some(Fault::PoseWithoutJacobian) {
             pose[3 + k] = arm[k];
         }
     }
@@ -373,9 +372,9 @@ fn rotation_backward<const M: bool, const Z: bool>(
     ]
     .map(|v| two * v);
     let along = dot(&f, &u);
-    [0, 1, 2, 3].map(|k| match how.slip {
-        Some(Slip::LengthForgotten) => f[k] - along * u[k],
-        Some(Slip::QuaternionNotProjected) => f[k] / length,
+    [0, 1, 2, 3].map(|k| match how.fault {
+        Some(Fault::LengthForgotten) => f[k] - along * u[k],
+        Some(Fault::QuaternionNotProjected) => f[k] / length,
         _ => (f[k] - along * u[k]) / length,
     })
 }

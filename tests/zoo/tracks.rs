@@ -1,9 +1,9 @@
-//! Pyramidal Lucas-Kanade, written a second time pixel by pixel, with its mistakes.
+//! Pyramidal Lucas-Kanade, written a second time pixel by pixel, with its faults.
 
-use garad_golden::Case;
+use garad_conformance::Outputs;
 
-use super::answers::{Out, put_f32, put_f64};
-use super::second::{How, Slip};
+use super::answers::Given;
+use super::second::{Fault, How};
 
 /// A level of the pyramid: whole grey levels.
 struct Level {
@@ -20,7 +20,7 @@ fn mirrored(i: isize, n: isize) -> isize {
 
 impl Level {
     fn at(&self, x: isize, y: isize, how: &How) -> i64 {
-        let (x, y) = match how.is(Slip::LkBorderRepeats) {
+        let (x, y) = match how.is(Fault::LkBorderRepeats) {
             true => (x.clamp(0, self.width - 1), y.clamp(0, self.height - 1)),
             false => (mirrored(x, self.width), mirrored(y, self.height)),
         };
@@ -58,9 +58,9 @@ impl Level {
         if !(0..self.width).contains(&x) || !(0..self.height).contains(&y) {
             return [0, 0];
         }
-        let (side, middle) = match how.slip {
-            Some(Slip::LkSobel) => (1, 2),
-            Some(Slip::LkPlainDifferences) => (0, 16),
+        let (side, middle) = match how.fault {
+            Some(Fault::LkSobel) => (1, 2),
+            Some(Fault::LkPlainDifferences) => (0, 16),
             _ => (3, 10),
         };
         let weights = [side, middle, side];
@@ -73,15 +73,15 @@ impl Level {
     }
 }
 
-fn levels(case: &Case, name: &str) -> Vec<Level> {
-    let tensor = case.input(name);
+fn levels(case: Given<'_>, name: &str) -> Vec<Level> {
+    let tensor = case.tensor(name);
     let mut level = Level {
         width: tensor.shape()[1].cast_signed(),
         height: tensor.shape()[0].cast_signed(),
         grey: tensor.i64(),
     };
     let mut all = Vec::new();
-    for _ in 0..case.param_usize("levels") {
+    for _ in 0..case.count("levels") {
         let next = level.half();
         if next.width.min(next.height) <= 21 {
             break;
@@ -95,7 +95,7 @@ fn levels(case: &Case, name: &str) -> Vec<Level> {
 /// Upper left pixel of a window and the four weights, 14 bits; `None` if it lies outside.
 #[allow(
     clippy::cast_possible_truncation,
-    reason = "weights of 14 bits, corners near the picture"
+    reason = "weights of 14 bits, corners near the image"
 )]
 fn place(corner: [f32; 2], level: &Level, how: &How) -> Option<(isize, isize, [i64; 4])> {
     let inside = |v: f32, n: isize| v >= -21.0 && v < n as f32;
@@ -103,7 +103,7 @@ fn place(corner: [f32; 2], level: &Level, how: &How) -> Option<(isize, isize, [i
         return None;
     }
     let whole = corner.map(f32::floor);
-    let [a, b] = match how.is(Slip::LkWholePixels) {
+    let [a, b] = match how.is(Fault::LkWholePixels) {
         true => [0.0, 0.0],
         false => [corner[0] - whole[0], corner[1] - whole[1]],
     };
@@ -131,7 +131,7 @@ impl Tracker<'_> {
         p.map(|v| v - (self.side - 1) as f32 / 2.0)
     }
 
-    /// A picture's window, weighted and rounded.
+    /// An image's window, weighted and rounded.
     fn window(
         &self,
         (x0, y0, w): (isize, isize, [i64; 4]),
@@ -152,7 +152,7 @@ impl Tracker<'_> {
         sum as f32 / 1_048_576.0
     }
 
-    /// The new estimate, whether it stayed inside, and the first picture's window. `None` if the level holds too
+    /// The new estimate, whether it stayed inside, and the first image's window. `None` if the level holds too
     /// little.
     fn follow(
         &self,
@@ -173,16 +173,16 @@ impl Tracker<'_> {
         let determinant = gxx * gyy - gxy * gxy;
         let root = ((gxx - gyy) * (gxx - gyy) + 4.0 * gxy * gxy).sqrt();
         let least = (gyy + gxx - root) / (2 * self.side * self.side) as f32;
-        let gate = match how.slip {
-            Some(Slip::LkGateUnscaled) => 1e-4 / 1_048_576.0,
-            Some(Slip::LkGateOfGreyLevels) => 1e-4 / 1024.0,
+        let gate = match how.fault {
+            Some(Fault::LkGateUnscaled) => 1e-4 / 1_048_576.0,
+            Some(Fault::LkGateOfGreyLevels) => 1e-4 / 1024.0,
             _ => 1e-4,
         };
         if least < gate || determinant < f32::EPSILON {
             return None;
         }
         let (mut corner, mut estimate, mut before) = (self.corner(start), start, [0.0f32; 2]);
-        let steps = if how.is(Slip::LkOneStep) { 1 } else { 30 };
+        let steps = if how.is(Fault::LkOneStep) { 1 } else { 30 };
         for step in 0..steps {
             let Some(there) = place(corner, to, how) else {
                 return Some((estimate, false, grey));
@@ -195,7 +195,7 @@ impl Tracker<'_> {
                 (gxy * by - gyy * bx) * inverse,
                 (gxy * bx - gxx * by) * inverse,
             ];
-            if how.is(Slip::LkStepBackwards) {
+            if how.is(Fault::LkStepBackwards) {
                 delta = delta.map(|d| -d);
             }
             corner = [corner[0] + delta[0], corner[1] + delta[1]];
@@ -215,28 +215,28 @@ impl Tracker<'_> {
     }
 }
 
-pub(super) fn lucas_kanade(case: &Case, how: &How, out: &mut Out) {
+pub(super) fn lucas_kanade(case: Given<'_>, how: &How, out: &mut Outputs) {
     let (prev, next) = (levels(case, "prev"), levels(case, "next"));
-    let side = match how.slip {
-        Some(Slip::LkWindowOfTwenty) => 20,
-        Some(Slip::LkWindowOfTwentyThree) => 23,
+    let side = match how.fault {
+        Some(Fault::LkWindowOfTwenty) => 20,
+        Some(Fault::LkWindowOfTwentyThree) => 23,
         _ => 21,
     };
     let tracker = Tracker { how, side };
-    let points = case.input("points").f32();
+    let points = case.tensor("points").f32();
     let points = points.as_chunks::<2>().0;
     let (mut status, mut found, mut residuals) = (Vec::new(), Vec::new(), Vec::new());
     for &point in points {
         let at = |level: usize| {
-            let level = level + usize::from(how.is(Slip::LkLevelOffByOne));
+            let level = level + usize::from(how.is(Fault::LkLevelOffByOne));
             point.map(|v| v / (1u32 << level) as f32)
         };
         let mut estimate = at(prev.len() - 1);
         let mut last = None;
         for level in (0..prev.len()).rev() {
-            if how.is(Slip::LkStartNotCarried) {
+            if how.is(Fault::LkStartNotCarried) {
                 estimate = at(level);
-            } else if level + 1 < prev.len() && !how.is(Slip::LkNotDoubled) {
+            } else if level + 1 < prev.len() && !how.is(Fault::LkNotDoubled) {
                 estimate = estimate.map(|v| v * 2.0);
             }
             last = tracker.follow([&prev[level], &next[level]], at(level), estimate);
@@ -251,7 +251,7 @@ pub(super) fn lucas_kanade(case: &Case, how: &How, out: &mut Out) {
         {
             let seen = tracker.window(there, 9, |x, y| next[0].at(x, y, how));
             let apart: i64 = seen.iter().zip(&grey).map(|(j, i)| (j - i).abs()).sum();
-            let per_level = if how.is(Slip::LkResidualUnscaled) {
+            let per_level = if how.is(Fault::LkResidualUnscaled) {
                 1
             } else {
                 32
@@ -259,22 +259,18 @@ pub(super) fn lucas_kanade(case: &Case, how: &How, out: &mut Out) {
             residual = apart as f32 / (per_level * side * side) as f32;
             tracked = true;
         }
-        status.push(f64::from(u8::from(tracked)));
+        status.push(tracked);
         found.push(estimate);
         residuals.push(residual);
     }
-    put_f64(out, case, "status", &status);
-    // Positions are compared on the corners, which come first.
-    let n = case.output("xy").len() / 2;
-    for name in ["xy", "xy_opencv"] {
-        put_f32(out, case, name, found[..n].as_flattened());
+    out.put("status", status);
+    // Positions are compared on the corners, which come first: the eight others are flat or outside.
+    let corners = || found.iter().take(points.len() - 8);
+    for suffix in ["", "_opencv"] {
+        out.put(&format!("xy{suffix}"), corners().copied());
+        let residuals = corners().zip(&residuals).map(|(_, r)| *r);
+        out.put(&format!("residual{suffix}"), residuals);
     }
-    for name in ["residual", "residual_opencv"] {
-        put_f32(out, case, name, &residuals[..n]);
-    }
-    let moved = found[..n]
-        .iter()
-        .zip(points)
-        .flat_map(|(f, p)| [f[0] - p[0], f[1] - p[1]]);
-    put_f32(out, case, "flow_truth", &moved.collect::<Vec<_>>());
+    let moved = corners().zip(points);
+    out.put("flow_truth", moved.map(|(f, p)| [f[0] - p[0], f[1] - p[1]]));
 }

@@ -3,24 +3,22 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use serde_json::Value;
-
 use crate::compare::{Comparison, compare};
 use crate::error::GoldenError;
+use crate::inputs::Inputs;
 use crate::manifest::{Entry, Manifest, load_tensor, read};
 use crate::tensor::Tensor;
 use crate::tol::{self, Tolerance};
 
-/// A golden case, read whole.
-///
-/// The methods without a `Result` are for tests: what they ask for must be in the case, and a
-/// wrong name panics with the names there are.
+/// A golden case, read whole: the [`Inputs`] a stage is given, and what must come out.
 #[derive(Debug)]
 pub struct Case {
-    folder: PathBuf,
-    manifest: Manifest,
-    inputs: BTreeMap<String, Tensor>,
+    inputs: Inputs,
+    why: String,
+    basis: String,
+    equations: Vec<String>,
     outputs: BTreeMap<String, Tensor>,
+    tolerances: BTreeMap<String, String>,
 }
 
 impl Case {
@@ -37,10 +35,8 @@ impl Case {
                 source,
             })?;
         if manifest.schema != 1 {
-            return Err(GoldenError::Schema {
-                path,
-                found: manifest.schema,
-            });
+            let found = manifest.schema;
+            return Err(GoldenError::Schema { path, found });
         }
         let load = |entries: &BTreeMap<String, Entry>| {
             entries
@@ -48,11 +44,25 @@ impl Case {
                 .map(|(name, entry)| Ok((name.clone(), load_tensor(folder, name, entry)?)))
                 .collect::<Result<BTreeMap<_, _>, GoldenError>>()
         };
+        let tensors = load(&manifest.inputs)?;
+        let outputs = load(&manifest.outputs)?;
+        let tolerances = manifest.outputs.into_iter();
         Ok(Self {
-            folder: folder.to_owned(),
-            inputs: load(&manifest.inputs)?,
-            outputs: load(&manifest.outputs)?,
-            manifest,
+            inputs: Inputs {
+                stage: manifest.stage,
+                case: manifest.case,
+                flags: manifest.flags,
+                params: manifest.params,
+                tensors,
+                folder: folder.to_owned(),
+            },
+            why: manifest.why,
+            basis: manifest.basis,
+            equations: manifest.equations,
+            outputs,
+            tolerances: tolerances
+                .map(|(name, entry)| (name, entry.tol.unwrap_or_default()))
+                .collect(),
         })
     }
 
@@ -130,138 +140,58 @@ impl Case {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden")
     }
 
+    /// What a stage is given.
+    #[must_use]
+    pub fn inputs(&self) -> &Inputs {
+        &self.inputs
+    }
+
     /// `STAGE/CASE`.
     #[must_use]
     pub fn name(&self) -> String {
-        format!("{}/{}", self.manifest.stage, self.manifest.case)
+        self.inputs.name()
     }
 
     /// Stage alone.
     #[must_use]
     pub fn stage(&self) -> &str {
-        &self.manifest.stage
+        self.inputs.stage()
     }
 
     /// Name within the stage.
     #[must_use]
     pub fn case(&self) -> &str {
-        &self.manifest.case
+        self.inputs.case()
     }
 
     /// The folder it was read from.
     #[must_use]
     pub fn folder(&self) -> &Path {
-        &self.folder
-    }
-
-    /// Flags: what is special about the case.
-    #[must_use]
-    pub fn flags(&self) -> &[String] {
-        &self.manifest.flags
+        &self.inputs.folder
     }
 
     /// Why the case exists.
     #[must_use]
     pub fn why(&self) -> &str {
-        &self.manifest.why
+        &self.why
     }
 
     /// Where the expected values come from.
     #[must_use]
     pub fn basis(&self) -> &str {
-        &self.manifest.basis
+        &self.basis
     }
 
     /// Equations the case pins.
     #[must_use]
     pub fn equations(&self) -> &[String] {
-        &self.manifest.equations
+        &self.equations
     }
 
-    /// Whether the case carries this flag.
+    /// Every expected output by name.
     #[must_use]
-    pub fn has_flag(&self, flag: &str) -> bool {
-        self.manifest.flags.iter().any(|f| f == flag)
-    }
-
-    /// Names of the outputs, sorted.
-    pub fn output_names(&self) -> impl Iterator<Item = &str> {
-        self.outputs.keys().map(String::as_str)
-    }
-
-    /// Names of the inputs, sorted.
-    pub fn input_names(&self) -> impl Iterator<Item = &str> {
-        self.inputs.keys().map(String::as_str)
-    }
-
-    /// Names of the parameters, sorted.
-    pub fn param_names(&self) -> impl Iterator<Item = &str> {
-        self.manifest.params.keys().map(String::as_str)
-    }
-
-    /// A parameter, if the case has it.
-    #[must_use]
-    pub fn param(&self, name: &str) -> Option<&Value> {
-        self.manifest.params.get(name)
-    }
-
-    /// A number.
-    ///
-    /// # Panics
-    /// If the case has no such parameter, or if it is no number.
-    #[must_use]
-    pub fn param_f64(&self, name: &str) -> f64 {
-        self.typed(name, "a number", Value::as_f64)
-    }
-
-    /// A count or an index.
-    ///
-    /// # Panics
-    /// If the case has no such parameter, or if it is not a whole number ≥ 0.
-    #[must_use]
-    pub fn param_usize(&self, name: &str) -> usize {
-        self.typed(name, "a whole number", |v| {
-            v.as_u64().and_then(|n| usize::try_from(n).ok())
-        })
-    }
-
-    /// A switch.
-    ///
-    /// # Panics
-    /// If the case has no such parameter, or if it is not true or false.
-    #[must_use]
-    pub fn param_bool(&self, name: &str) -> bool {
-        self.typed(name, "true or false", Value::as_bool)
-    }
-
-    /// A word.
-    ///
-    /// # Panics
-    /// If the case has no such parameter, or if it is no string.
-    #[must_use]
-    pub fn param_str(&self, name: &str) -> &str {
-        self.typed(name, "a string", Value::as_str)
-    }
-
-    fn typed<'a, T>(&'a self, name: &str, kind: &str, read: fn(&'a Value) -> Option<T>) -> T {
-        let value = named(&self.manifest.params, &self.name(), "parameter", name)
-            .unwrap_or_else(|error| panic!("{error}"));
-        read(value).unwrap_or_else(|| panic!("{}: '{name}' is {value}, not {kind}", self.name()))
-    }
-
-    /// An input, if the case has it.
-    #[must_use]
-    pub fn try_input(&self, name: &str) -> Option<&Tensor> {
-        self.inputs.get(name)
-    }
-
-    /// An input.
-    ///
-    /// # Panics
-    /// If the case has no such input.
-    #[must_use]
-    pub fn input(&self, name: &str) -> &Tensor {
-        named(&self.inputs, &self.name(), "input", name).unwrap_or_else(|error| panic!("{error}"))
+    pub fn outputs(&self) -> &BTreeMap<String, Tensor> {
+        &self.outputs
     }
 
     /// An expected output.
@@ -270,7 +200,17 @@ impl Case {
     /// If the case has no such output.
     #[must_use]
     pub fn output(&self, name: &str) -> &Tensor {
-        named(&self.outputs, &self.name(), "output", name).unwrap_or_else(|error| panic!("{error}"))
+        let output = self.named(&self.outputs, name);
+        output.unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    fn named<'a, T>(&self, map: &'a BTreeMap<String, T>, name: &str) -> Result<&'a T, GoldenError> {
+        map.get(name).ok_or_else(|| GoldenError::Unknown {
+            case: self.name(),
+            kind: "output",
+            name: name.to_owned(),
+            known: map.keys().cloned().collect::<Vec<_>>().join(", "),
+        })
     }
 
     /// The tolerance of an output, for answers as precise as the expected values.
@@ -278,12 +218,11 @@ impl Case {
     /// # Errors
     /// [`GoldenError::Unknown`] if the output, or the tolerance it names, does not exist.
     pub fn tolerance(&self, name: &str) -> Result<&'static Tolerance, GoldenError> {
-        let entry = named(&self.manifest.outputs, &self.name(), "output", name)?;
-        let wanted = entry.tol.as_deref().unwrap_or("");
+        let wanted = self.named(&self.tolerances, name)?;
         tol::find(wanted).ok_or_else(|| GoldenError::Unknown {
             case: self.name(),
             kind: "tolerance",
-            name: wanted.to_owned(),
+            name: wanted.clone(),
             known: "a table in crates/golden/src/tol.rs".to_owned(),
         })
     }
@@ -294,7 +233,7 @@ impl Case {
     /// [`GoldenError`] if the output or its tolerance is unknown, or the number of elements wrong.
     /// An answer out of tolerance is a [`Comparison`] that did not pass.
     pub fn compare(&self, name: &str, got: &[f64]) -> Result<Comparison, GoldenError> {
-        let expected = named(&self.outputs, &self.name(), "output", name)?;
+        let expected = self.named(&self.outputs, name)?;
         let tolerance = self.tolerance(name)?;
         compare(expected, got, tolerance).map_err(|source| GoldenError::Count {
             case: self.name(),
@@ -314,18 +253,4 @@ impl Case {
             Err(error) => Err(error.to_string()),
         }
     }
-}
-
-fn named<'a, T>(
-    map: &'a BTreeMap<String, T>,
-    case: &str,
-    kind: &'static str,
-    name: &str,
-) -> Result<&'a T, GoldenError> {
-    map.get(name).ok_or_else(|| GoldenError::Unknown {
-        case: case.to_owned(),
-        kind,
-        name: name.to_owned(),
-        known: map.keys().cloned().collect::<Vec<_>>().join(", "),
-    })
 }

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use thiserror::Error;
 
 use crate::compare::CountMismatch;
-use crate::manifest::MAX_FILE_BYTES;
 use crate::npy::NpyError;
 
 /// What is wrong with a case, or with an answer to it.
@@ -21,12 +20,14 @@ pub enum GoldenError {
         source: std::io::Error,
     },
     /// A file larger than any case's.
-    #[error("{}: {bytes} bytes; at most {MAX_FILE_BYTES} are read", path.display())]
+    #[error("{}: {bytes} bytes; at most {limit} are read", path.display())]
     TooLarge {
         /// File.
         path: PathBuf,
         /// Its size.
         bytes: u64,
+        /// What is allowed.
+        limit: u64,
     },
     /// `case.json` is not what it should be.
     #[error("{}: {source}", path.display())]

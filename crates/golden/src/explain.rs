@@ -1,55 +1,19 @@
-//! [`explain`]: which usual slip turns an answer into the right one.
+//! [`explain`]: which usual mistake turns an answer into the right one.
 //!
 //! A port that is wrong by a convention is wrong everywhere, and a table of errors says little. So
 //! the answer is put through a short list of transformations; the one after which it is within
-//! tolerance names the slip. What fits by chance is kept out: free factors and offsets are only
+//! tolerance names the mistake. What fits by chance is kept out: free factors and offsets are only
 //! fitted where there are several times as many numbers as unknowns.
 
 mod fits;
 mod rearranged;
 mod siblings;
+mod suspect;
 
 use crate::case::Case;
+use suspect::Suspect;
 
-/// An answer that is not within tolerance, and the means to try others.
-pub(crate) struct Suspect<'a> {
-    pub(crate) case: &'a Case,
-    pub(crate) output: &'a str,
-    pub(crate) shape: &'a [usize],
-    pub(crate) expected: &'a [f64],
-    pub(crate) got: &'a [f64],
-    /// Whether other numbers in its place are within tolerance.
-    pub(crate) passes: &'a dyn Fn(&[f64]) -> bool,
-}
-
-impl Suspect<'_> {
-    /// Length of the last axis, 1 for a scalar.
-    pub(crate) fn columns(&self) -> usize {
-        self.shape.last().copied().unwrap_or(1).max(1)
-    }
-
-    /// Numbers per column.
-    pub(crate) fn rows(&self) -> usize {
-        self.got.len() / self.columns()
-    }
-
-    /// The answer with another number in each place.
-    pub(crate) fn map(&self, f: impl Fn(usize, f64) -> f64) -> Vec<f64> {
-        self.got.iter().enumerate().map(|(i, &g)| f(i, g)).collect()
-    }
-
-    /// The answer with element `from(i)` in place `i`.
-    pub(crate) fn gather(&self, from: impl Fn(usize) -> usize) -> Vec<f64> {
-        (0..self.got.len()).map(|i| self.got[from(i)]).collect()
-    }
-
-    /// `name` if these numbers are within tolerance.
-    pub(crate) fn named(&self, name: &str, numbers: &[f64]) -> Option<String> {
-        (self.passes)(numbers).then(|| name.to_owned())
-    }
-}
-
-/// The slip that explains an answer, in words; `None` if none of the list does.
+/// The mistake that explains an answer, in words; `None` if none of the list does.
 ///
 /// `got` has as many numbers as `expected`, both flat in C order under the shape of the case's output;
 /// `passes` judges numbers in its place.

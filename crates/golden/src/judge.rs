@@ -1,187 +1,30 @@
-//! [`judge`]: the verdict on a case, given somebody's outputs.
+//! [`judge`]: the verdict on a case, given a backend's outputs.
 //!
 //! An answer in f32 where f64 is expected is held to the tolerance of f32 ([`tol::for_f32`]). If
 //! the case has an input `robust`, it says which pixels are away from every cut; there an answer in f32 is
 //! held to its tolerance, and all pixels together to the budget `STAGE.f32.flips`.
 
-use std::collections::BTreeMap;
-use std::path::Path;
-
+use crate::alternatives::nearest;
+use crate::answers::Answers;
 use crate::case::Case;
 use crate::compare::{Comparison, compare};
 use crate::explain::explain;
 use crate::metrics::Metrics;
-use crate::npy;
 use crate::tensor::{Dtype, Tensor};
 use crate::tol::{self, Class};
-
-/// Somebody's outputs by name; a text where a file is there and cannot be used.
-pub type Answers = BTreeMap<String, Result<Tensor, String>>;
-
-/// The verdict on one output.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Verdict {
-    /// Within tolerance.
-    Pass,
-    /// No answer.
-    Missing,
-    /// Out of tolerance.
-    Fail,
-    /// NaN or an infinity where a number is expected.
-    NonFinite,
-    /// Another shape.
-    Shape,
-    /// A file that is not a `.npy` file of a known type.
-    Unreadable,
-}
-
-impl Verdict {
-    /// One word.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Pass => "pass",
-            Self::Missing => "missing",
-            Self::Fail => "FAIL",
-            Self::NonFinite => "NONFINITE",
-            Self::Shape => "SHAPE",
-            Self::Unreadable => "UNREADABLE",
-        }
-    }
-}
-
-/// What is said of one output.
-#[derive(Debug, Clone, PartialEq)]
-pub struct OutputVerdict {
-    /// Output.
-    pub name: String,
-    /// Verdict.
-    pub verdict: Verdict,
-    /// Type of the answer, if there is one.
-    pub dtype: Option<Dtype>,
-    /// The worst element, if element could be compared with element.
-    pub comparison: Option<Comparison>,
-    /// How it differs as a whole, if it is a list of reals out of tolerance.
-    pub metrics: Option<Metrics>,
-    /// What else helps: the slip that explains the answer, what the shape should be.
-    pub note: Option<String>,
-}
-
-/// How a port ended.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Outcome {
-    /// Every output within tolerance.
-    Pass,
-    /// An output is not.
-    Fail,
-    /// No output at all.
-    Missing,
-    /// The port says it does not do this stage.
-    Unsupported,
-    /// The port ended with an error; its code and last words.
-    Crash(String),
-    /// The port took longer than it may.
-    Timeout(String),
-}
-
-impl Outcome {
-    /// One word.
-    #[must_use]
-    pub fn name(&self) -> &'static str {
-        match self {
-            Self::Pass => "pass",
-            Self::Fail => "FAIL",
-            Self::Missing => "missing",
-            Self::Unsupported => "unsupported",
-            Self::Crash(_) => "CRASH",
-            Self::Timeout(_) => "TIMEOUT",
-        }
-    }
-}
-
-/// What is said of one case.
-#[derive(Debug, Clone, PartialEq)]
-pub struct CaseVerdict {
-    /// Stage.
-    pub stage: String,
-    /// Case.
-    pub case: String,
-    /// Where its expected values come from.
-    pub basis: String,
-    /// How it went.
-    pub outcome: Outcome,
-    /// Output by output, sorted by name.
-    pub outputs: Vec<OutputVerdict>,
-}
-
-impl CaseVerdict {
-    /// A case that gave no outputs to compare.
-    #[must_use]
-    pub fn without_outputs(case: &Case, outcome: Outcome) -> Self {
-        Self {
-            stage: case.stage().to_owned(),
-            case: case.case().to_owned(),
-            basis: case.basis().to_owned(),
-            outcome,
-            outputs: Vec::new(),
-        }
-    }
-
-    /// Whether the run as a whole fails by this case.
-    #[must_use]
-    pub fn fails(&self, allow_missing: bool) -> bool {
-        match self.outcome {
-            Outcome::Pass | Outcome::Unsupported => false,
-            Outcome::Missing => !allow_missing,
-            _ => true,
-        }
-    }
-
-    /// The output that is furthest from its tolerance's inside.
-    #[must_use]
-    pub fn worst(&self) -> Option<&OutputVerdict> {
-        let ratio = |o: &OutputVerdict| o.comparison.as_ref().map_or(-1.0, |c| c.worst);
-        let by = |a: &&OutputVerdict, b: &&OutputVerdict| {
-            a.verdict
-                .cmp(&b.verdict)
-                .then(ratio(a).total_cmp(&ratio(b)))
-        };
-        self.outputs.iter().max_by(by)
-    }
-}
-
-/// Reads `OUTPUT.npy` for every output of a case; a file that is not there is no answer.
-#[must_use]
-pub fn read_answers(case: &Case, folder: &Path) -> Answers {
-    let read = |name: &str| {
-        let bytes = match std::fs::read(folder.join(format!("{name}.npy"))) {
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return None,
-            other => other,
-        };
-        let text = |error: &dyn std::fmt::Display| error.to_string();
-        Some(match bytes {
-            Ok(bytes) => npy::decode(&bytes).map_err(|error| text(&error)),
-            Err(error) => Err(text(&error)),
-        })
-    };
-    let names = case.output_names();
-    names
-        .filter_map(|name| Some((name.to_owned(), read(name)?)))
-        .collect()
-}
+use crate::verdict::{CaseVerdict, Outcome, OutputVerdict, Verdict};
 
 /// Judges every output of a case.
 #[must_use]
 pub fn judge(case: &Case, answers: &Answers, allow_missing: bool) -> CaseVerdict {
-    let narrow = |name: &str, answer: &Tensor| {
-        answer.dtype() == Dtype::F32 && case.output(name).dtype() == Dtype::F64
-    };
-    let in_f32 = case.output_names().any(|name| {
+    let answers = nearest(case, answers);
+    let in_f32 = case.outputs().iter().any(|(name, expected)| {
         let answer = answers.get(name).and_then(|answer| answer.as_ref().ok());
-        answer.is_some_and(|answer| narrow(name, answer))
+        answer.is_some_and(|answer| answer.dtype() == Dtype::F32 && expected.dtype() == Dtype::F64)
     });
     let outputs: Vec<OutputVerdict> = case
-        .output_names()
+        .outputs()
+        .keys()
         .map(|name| match answers.get(name) {
             None => problem(name, Verdict::Missing, None, "no file of this name"),
             Some(Err(why)) => problem(name, Verdict::Unreadable, None, why),
@@ -230,7 +73,7 @@ fn judge_output(case: &Case, name: &str, answer: &Tensor, in_f32: bool) -> Outpu
     }
     let tolerance = match case.tolerance(name) {
         Ok(wide) if answer.dtype() == Dtype::F32 && expected.dtype() == Dtype::F64 => {
-            tol::for_f32(case.stage(), name, case.flags(), wide)
+            tol::for_f32(case.stage(), name, case.inputs().flags(), wide)
         }
         Ok(tolerance) => *tolerance,
         Err(error) => return problem(name, Verdict::Unreadable, dtype, &error.to_string()),
@@ -284,11 +127,11 @@ fn judge_output(case: &Case, name: &str, answer: &Tensor, in_f32: bool) -> Outpu
         (Verdict::NonFinite, Some(note))
     } else {
         let passes = |numbers: &[f64]| verdict_on(numbers).is_some_and(|c| c.passed);
-        let slip = explain(case, name, &values, &got, &passes);
-        let slip = slip.map(|slip| format!("fits, if this slip is undone: {slip}"));
+        let mistake = explain(case, name, &values, &got, &passes);
+        let mistake = mistake.map(|mistake| format!("fits, if this mistake is undone: {mistake}"));
         (
             Verdict::Fail,
-            slip.or_else(|| looks_like_f32(answer, &comparison)),
+            mistake.or_else(|| looks_like_f32(answer, &comparison)),
         )
     };
     let columns = expected.shape().last().copied().unwrap_or(1);
@@ -306,7 +149,7 @@ fn judge_output(case: &Case, name: &str, answer: &Tensor, in_f32: bool) -> Outpu
 
 /// The mask of a case over the first axes of an output, with the elements per entry of the mask.
 fn robust(case: &Case, expected: &Tensor) -> Option<(Vec<i64>, usize)> {
-    let mask = case.try_input("robust")?;
+    let mask = case.inputs().get("robust")?;
     let fits = expected.shape().starts_with(mask.shape()) && !mask.is_empty();
     fits.then(|| (mask.i64(), expected.len() / mask.len()))
 }

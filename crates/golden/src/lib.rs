@@ -4,10 +4,10 @@
 //! `.npy` files; numpy alone opens them. The expected values come from outside this project
 //! (OpenCV, mpmath, scipy, ...) through the scripts in `tests/golden/gen/`.
 //!
-//! Reading order: [`tensor`] (typed arrays) → [`npy`] (their files) → [`case`] (the folder) →
-//! [`tol`] (the one table of tolerances) → [`compare`](mod@compare) (one tensor) →
-//! [`judge`](mod@judge) (one case) → [`explain`](mod@explain) (which slip it is) → [`stages`] (which
-//! stage rests on which) → [`report`]; [`trace`] (whole frames, stage by stage).
+//! Reading order: [`tensor`] (typed arrays) → [`npy`] (their files) → [`inputs`] (what a stage is given) →
+//! [`case`] (the folder) → [`tol`] (the one table of tolerances) → [`compare`](mod@compare) (one tensor) →
+//! [`answers`], [`judge`](mod@judge) and [`verdict`] (one case) → [`explain`](mod@explain) (which mistake it is) → [`stages`]
+//! (which stage needs which) → [`report`]; [`trace`] (whole frames, stage by stage).
 //!
 //! # Example
 //! ```
@@ -17,10 +17,13 @@
 //! assert_eq!((verdict.outside, verdict.worst_index.as_slice()), (1, &[2][..]));
 //! ```
 
+mod alternatives;
+pub mod answers;
 pub mod case;
 pub mod compare;
 pub mod error;
 pub mod explain;
+pub mod inputs;
 pub mod judge;
 mod manifest;
 pub mod metrics;
@@ -30,10 +33,12 @@ pub mod stages;
 pub mod tensor;
 pub mod tol;
 pub mod trace;
+pub mod verdict;
 
 pub use case::Case;
 pub use compare::Comparison;
 pub use error::GoldenError;
+pub use inputs::{InputError, Inputs};
 pub use npy::NpyError;
 pub use tensor::{Dtype, Tensor};
 pub use tol::{Class, Tolerance};

@@ -11,7 +11,7 @@ use crate::npy;
 use crate::tensor::{Dtype, Tensor};
 
 /// No file of a case is larger; what claims to be is refused unread.
-pub(crate) const MAX_FILE_BYTES: u64 = 64 << 20;
+const MAX_FILE_BYTES: u64 = 64 << 20;
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -56,6 +56,7 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>, GoldenError> {
         return Err(GoldenError::TooLarge {
             path: path.to_owned(),
             bytes,
+            limit: MAX_FILE_BYTES,
         });
     }
     std::fs::read(path).map_err(io)

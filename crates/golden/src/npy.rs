@@ -6,9 +6,12 @@
 //! claimed size is computed with checked arithmetic and must be the number of bytes that are
 //! really there.
 
-use thiserror::Error;
+mod error;
+mod header;
 
 use crate::tensor::{Dtype, Tensor, checked_len};
+pub use error::NpyError;
+use header::HeaderParser;
 
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
 /// Magic, version, header length.
@@ -17,68 +20,6 @@ const PREAMBLE: usize = 10;
 const ALIGNMENT: usize = 64;
 /// numpy leaves room for the first size to grow to this many digits in place.
 const GROWTH_DIGITS: usize = 21;
-/// numpy's own limit on dimensions.
-const MAX_DIMENSIONS: usize = 32;
-
-/// Why bytes are not a `.npy` file that golden cases use.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[non_exhaustive]
-pub enum NpyError {
-    /// No `\x93NUMPY` at the start.
-    #[error("not a .npy file: the first six bytes are not \\x93NUMPY")]
-    Magic,
-    /// A version other than 1.0.
-    #[error(".npy version {major}.{minor}; expected 1.0")]
-    Version {
-        /// Found.
-        major: u8,
-        /// Found.
-        minor: u8,
-    },
-    /// The file ends inside the header.
-    #[error("header of {claimed} bytes, but {there} are there")]
-    Truncated {
-        /// Bytes the file says its header has.
-        claimed: usize,
-        /// Bytes left.
-        there: usize,
-    },
-    /// The header is not the dict expected.
-    #[error("header: expected {expected} at byte {at}")]
-    Header {
-        /// What should have stood there.
-        expected: &'static str,
-        /// Position in the header.
-        at: usize,
-    },
-    /// An element type golden cases do not use, big-endian ones among them.
-    #[error("element type '{descr}' is not one of <f4 <f8 |i1 |u1 <i2 <u2 <i4 <u4 <i8 |b1")]
-    Dtype {
-        /// numpy's descriptor.
-        descr: String,
-    },
-    /// `fortran_order: True`.
-    #[error("Fortran order; expected C order")]
-    FortranOrder,
-    /// The shape asks for another number of bytes than the file holds.
-    #[error("shape {shape:?} of '{descr}' does not have the {there} bytes that are there")]
-    Size {
-        /// Claimed.
-        shape: Vec<usize>,
-        /// Claimed.
-        descr: &'static str,
-        /// Bytes after the header.
-        there: usize,
-    },
-    /// A bool that is neither 0 nor 1.
-    #[error("bool at position {at} has the value {value}")]
-    Bool {
-        /// Flat position.
-        at: usize,
-        /// Its byte.
-        value: u8,
-    },
-}
 
 /// Reads a `.npy` file.
 ///
@@ -103,7 +44,7 @@ pub fn decode(bytes: &[u8]) -> Result<Tensor, NpyError> {
         claimed,
         there: rest.len(),
     })?;
-    let (descr, fortran_order, shape) = HeaderParser { header, at: 0 }.parse()?;
+    let (descr, fortran_order, shape) = HeaderParser::new(header).parse()?;
     let dtype = Dtype::from_descr(descr).ok_or_else(|| NpyError::Dtype {
         descr: descr.to_owned(),
     })?;
@@ -162,112 +103,6 @@ pub fn encode(tensor: &Tensor) -> Vec<u8> {
     bytes.push(b'\n');
     bytes.extend_from_slice(tensor.bytes());
     bytes
-}
-
-/// Reads `{'descr': '<f8', 'fortran_order': False, 'shape': (3, 4), }`, keys in any order.
-struct HeaderParser<'a> {
-    header: &'a [u8],
-    at: usize,
-}
-
-impl<'a> HeaderParser<'a> {
-    fn parse(mut self) -> Result<(&'a str, bool, Vec<usize>), NpyError> {
-        let (mut descr, mut fortran_order, mut shape) = (None, None, None);
-        self.expect(b'{', "{")?;
-        while !self.take(b'}') {
-            let key = self.string()?;
-            self.expect(b':', ":")?;
-            match key {
-                "descr" if descr.is_none() => descr = Some(self.string()?),
-                "fortran_order" if fortran_order.is_none() => fortran_order = Some(self.boolean()?),
-                "shape" if shape.is_none() => shape = Some(self.shape()?),
-                _ => return Err(self.expected("descr, fortran_order or shape, each once")),
-            }
-            if !self.take(b',') && self.peek() != Some(b'}') {
-                return Err(self.expected(", or }"));
-            }
-        }
-        if self.peek().is_some() {
-            return Err(self.expected("nothing but blanks after }"));
-        }
-        match (descr, fortran_order, shape) {
-            (Some(descr), Some(fortran_order), Some(shape)) => Ok((descr, fortran_order, shape)),
-            _ => Err(self.expected("descr, fortran_order and shape before the end")),
-        }
-    }
-
-    fn expected(&self, expected: &'static str) -> NpyError {
-        NpyError::Header {
-            expected,
-            at: self.at,
-        }
-    }
-
-    /// The next byte that is not blank.
-    fn peek(&mut self) -> Option<u8> {
-        while let Some(b' ' | b'\n' | b'\t' | b'\r') = self.header.get(self.at) {
-            self.at += 1;
-        }
-        self.header.get(self.at).copied()
-    }
-
-    fn take(&mut self, byte: u8) -> bool {
-        let found = self.peek() == Some(byte);
-        self.at += usize::from(found);
-        found
-    }
-
-    fn expect(&mut self, byte: u8, name: &'static str) -> Result<(), NpyError> {
-        if self.take(byte) {
-            Ok(())
-        } else {
-            Err(self.expected(name))
-        }
-    }
-
-    /// Bytes from here on for which `accept` holds.
-    fn run(&mut self, accept: fn(&u8) -> bool) -> &'a str {
-        let start = self.at;
-        self.at += self.header[start..]
-            .iter()
-            .take_while(|b| accept(b))
-            .count();
-        std::str::from_utf8(&self.header[start..self.at]).unwrap_or_default()
-    }
-
-    fn string(&mut self) -> Result<&'a str, NpyError> {
-        self.expect(b'\'', "'")?;
-        let text = self.run(|&b| b.is_ascii_graphic() && b != b'\'' && b != b'\\');
-        self.expect(b'\'', "'")?;
-        Ok(text)
-    }
-
-    fn boolean(&mut self) -> Result<bool, NpyError> {
-        self.peek();
-        match self.run(u8::is_ascii_alphabetic) {
-            "True" => Ok(true),
-            "False" => Ok(false),
-            _ => Err(self.expected("True or False")),
-        }
-    }
-
-    /// `()`, `(3,)`, `(3, 4)`.
-    fn shape(&mut self) -> Result<Vec<usize>, NpyError> {
-        let mut shape = Vec::new();
-        self.expect(b'(', "(")?;
-        while !self.take(b')') {
-            self.peek();
-            let size = self.run(u8::is_ascii_digit).parse();
-            shape.push(size.map_err(|_| self.expected("a size"))?);
-            if shape.len() > MAX_DIMENSIONS {
-                return Err(self.expected("at most 32 dimensions"));
-            }
-            if !self.take(b',') && self.peek() != Some(b')') {
-                return Err(self.expected(", or )"));
-            }
-        }
-        Ok(shape)
-    }
 }
 
 #[cfg(test)]

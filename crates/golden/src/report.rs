@@ -5,9 +5,9 @@ use std::fmt::Write as _;
 
 use serde_json::{Value, json};
 
-use crate::judge::{CaseVerdict, Outcome, OutputVerdict, Verdict};
 use crate::stages;
 use crate::tol::Class;
+use crate::verdict::{CaseVerdict, Outcome, OutputVerdict, Verdict};
 
 /// One line per case, with what failed below it; then the stages the backend does not do, and which
 /// stage to look at first.
@@ -139,7 +139,7 @@ fn by_stage(verdicts: &[CaseVerdict]) -> BTreeMap<&str, &'static str> {
     stages
 }
 
-/// Which stage to look at first: a failing one whose foundations hold.
+/// Which stage to look at first: a failing one whose needs pass.
 fn advice(verdicts: &[CaseVerdict]) -> String {
     let stages = by_stage(verdicts);
     let mut failing: Vec<&str> = stages
@@ -161,8 +161,8 @@ fn advice(verdicts: &[CaseVerdict]) -> String {
         let all_hold = needs.iter().all(|need| stages.get(need) == Some(&"passes"));
         let advice = match below {
             Some(below) => format!("look at {below} first"),
-            None if all_hold => "what it rests on holds: the slip is in this stage".to_owned(),
-            None => "run what it rests on as well".to_owned(),
+            None if all_hold => "the stages it needs pass: the mistake is in this stage".to_owned(),
+            None => "run the stages it needs as well".to_owned(),
         };
         let words = if words.is_empty() {
             String::new()

@@ -95,7 +95,7 @@ pub const TABLE: &[Tolerance] = &[
     abs_rel("sh.color", 1.5e-15, 0.0, "measured 3.3e-16: a sum of 16 products of size 0.5"),
     // train_step: gradients through the losses, then Adam
     abs_rel("train_step.loss", 0.0, 4e-15, "measured 1e-15: sums over a thousand pixels"),
-    vector("train_step.gradient", 0.0, 1.5e-14, "measured 3.3e-15: losses.gradient on a picture with texture, through the backward pass"),
+    vector("train_step.gradient", 0.0, 1.5e-14, "measured 3.3e-15: losses.gradient on an image with texture, through the backward pass"),
     abs_rel("train_step.parameter", 1e-14, 0.0, "measured 2e-15: a step of at most 0.25 whose size is the quotient of two gradients"),
     // raster, forward in f64
     abs_rel("raster.color", 1e-13, 1e-13, "measured 1e-14: alpha is conditioned like its power, |power| < 6, and power like the mean over the thinnest sigma"),
@@ -128,8 +128,8 @@ pub const TABLE: &[Tolerance] = &[
     vector("raster_backward.f32.d_colors", 0.0, 6.5e-5, "as the coefficients"),
     vector("raster_backward.f32.d_depths", 0.0, 6.5e-5, "as the colours: a sum of the same weights"),
     // losses, in f64
-    abs_rel("losses.value", 0.0, 3e-14, "measured 1e-14 on flat pictures, whose variances are differences of 1e-16 over C2 = 9e-4; else 2e-15"),
-    vector("losses.gradient", 0.0, 1.5e-13, "measured 5e-14 on flat pictures, 3e-14 on a photograph"),
+    abs_rel("losses.value", 0.0, 3e-14, "measured 1e-14 on flat images, whose variances are differences of 1e-16 over C2 = 9e-4; else 2e-15"),
+    vector("losses.gradient", 0.0, 1.5e-13, "measured 5e-14 on flat images, 3e-14 on a photograph"),
     abs_rel("losses.logit_gradient", 0.0, 1e-15, "a product of two sigmoids, each to its last digit at both ends"),
     // losses, in f32
     abs_rel("losses.f32.value", 2e-6, 0.0, "means of errors of either sign"),
@@ -205,8 +205,8 @@ pub const TABLE: &[Tolerance] = &[
     vector("trace.flow", 1e-4, 1e-3, "as lk.xy; a covariance of some px, squared distances over it"),
     abs_rel("trace.cost", 0.0, 1e-3, "a sum of squares of residuals of 1e-4 px more or less"),
     Tolerance { name: "trace.map", class: Class::Banded { tight: 1e-4, share: 2e-2, hard: 0.5 }, reason: "Adam's step is +-rate wherever a gradient is rounding alone: such numbers part by a rate per iteration" },
-    Tolerance { name: "trace.picture", class: Class::Banded { tight: 1e-3, share: 2e-2, hard: 0.2 }, reason: "as raster.f32.flips, of a map good to 1e-4" },
-    abs_rel("trace.loss", 1e-4, 1e-3, "a mean over such a picture"),
+    Tolerance { name: "trace.image", class: Class::Banded { tight: 1e-3, share: 2e-2, hard: 0.2 }, reason: "as raster.f32.flips, of a map good to 1e-4" },
+    abs_rel("trace.loss", 1e-4, 1e-3, "a mean over such an image"),
     abs_rel("crf.score", 1e-15, 0.0, "a quotient of small whole numbers"),
 ];
 

@@ -187,8 +187,8 @@ const TOLERANCES: &[(&str, &str, &str)] = &[
     ("map_before", "landmark", "exact"), ("insert", "landmark", "exact"), ("map_after", "landmark", "exact"),
     ("map_before", "label", "exact"), ("insert", "label", "exact"), ("map_after", "label", "exact"),
     ("train", "camera_from_world", "pose.pose"), ("train", "target", "raster.f32.color"),
-    ("train", "color", "trace.picture"), ("train", "depth_m", "trace.picture"),
-    ("train", "opacity", "trace.picture"), ("train", "loss", "trace.loss"),
+    ("train", "color", "trace.image"), ("train", "depth_m", "trace.image"),
+    ("train", "opacity", "trace.image"), ("train", "loss", "trace.loss"),
 ];
 
 /// What a tensor of a correct port is held to: the table's last entry for it, else the same numbers.

@@ -35,15 +35,20 @@ fn a_case_reads_its_tensors_and_judges_answers() {
     let folder = folder(&json, &[("x.npy", &npy)]);
     let case = Case::load(folder.path()).unwrap();
     assert_eq!(case.name(), "s/c", "name");
-    assert_eq!(case.input("x").f64(), [1.0, 2.0], "from a file");
+    let inputs = case.inputs();
+    assert_eq!(inputs.reals("x"), Ok(vec![1.0, 2.0]), "from a file");
+    assert_eq!(inputs.row("x"), Ok([1.0, 2.0]), "as a row");
     assert_eq!(case.output("y").shape(), [1, 2], "inline");
-    assert_eq!(case.param_usize("k"), 3, "count");
-    assert!(
-        (case.param_f64("k") - 3.0).abs() < 1e-15,
-        "a count is a number"
+    assert_eq!(inputs.count("k"), Ok(3), "count");
+    assert_eq!(inputs.number("k"), Ok(3.0), "a count is a number");
+    assert_eq!(inputs.switch("on"), Ok(true), "switch");
+    assert!(inputs.has_flag("edge"), "flag");
+    assert_eq!(inputs.word("mode"), Ok("raw"), "word");
+    assert_eq!(
+        inputs.choice("mode", &[("cooked", 1), ("raw", 2)]),
+        Ok(2),
+        "choice"
     );
-    assert!(case.param_bool("on") && case.has_flag("edge"), "switches");
-    assert_eq!(case.param_str("mode"), "raw", "word");
     assert_eq!(case.check("y", &[0.1, f64::NAN]), Ok(()), "right");
     let report = case.check("y", &[0.1, 0.0]).unwrap_err();
     assert!(
@@ -54,6 +59,54 @@ fn a_case_reads_its_tensors_and_judges_answers() {
     assert!(report.contains("1 elements; expected 2"), "{report}");
     let report = case.check("z", &[]).unwrap_err();
     assert!(report.contains("no output 'z'; there is y"), "{report}");
+}
+
+#[test]
+fn what_a_case_does_not_have_is_named() {
+    let json = format!(
+        r#"{{{HEAD}, "params": {{"k": 3, "mode": "raw"}}, "outputs": {{}},
+           "inputs": {{"x": {{"dtype": "f64", "shape": [3], "unit": "m", "data": [1, 2, 3]}}}}}}"#
+    );
+    let folder = folder(&json, &[]);
+    let case = Case::load(folder.path()).unwrap();
+    let inputs = case.inputs();
+    let errors = [
+        (
+            inputs.number("h").err(),
+            "no parameter 'h'; there is k, mode",
+        ),
+        (inputs.tensor("y").err(), "no input 'y'; there is x"),
+        (inputs.switch("k").err(), "'k' is 3; expected true or false"),
+        (
+            inputs.choice("mode", &[("cooked", 1)]).err(),
+            "'mode' is raw; expected one of cooked",
+        ),
+        (
+            inputs.rows::<2>("x").err(),
+            "'x' is of shape [3]; expected rows of 2",
+        ),
+        (
+            inputs.row::<2>("x").err(),
+            "'x' is of shape [3]; expected 2 numbers",
+        ),
+        (
+            inputs.size("x").err(),
+            "'x' is of shape [3]; expected an image",
+        ),
+        (inputs.bytes("x").err(), "'x' is f64; expected u8 or bool"),
+        (inputs.singles("x").err(), "'x' is f64; expected f32"),
+        (
+            inputs.indices("x").err(),
+            "'x' is f64; expected whole numbers",
+        ),
+    ];
+    for (error, expected) in errors {
+        assert_eq!(
+            error.map(|e| e.to_string()).as_deref(),
+            Some(expected),
+            "{expected}"
+        );
+    }
 }
 
 /// The nearest f64 of a text of 17 digits, not one next to it.

@@ -1,7 +1,6 @@
-//! The losses against values and complex steps (`tests/golden/gen/losses.py`), differences, laws.
+//! The losses against differences, and their laws.
 
 use garad_core::{Image, Label, MaskImage, Par, Real, Rng};
-use garad_golden::{Case, compare::compare, tol};
 use garad_raster::RasterError;
 use garad_raster::losses::{
     ImageLoss, depth_l1, l1, opacity_penalty, photometric, reference, ssim,
@@ -18,123 +17,6 @@ fn forms<T: Real>() -> [(&'static str, Ssim<T>, Photometric<T>); 2] {
         ("sweep", ssim, photometric),
         ("reference", reference::ssim, reference::photometric),
     ]
-}
-
-fn size(case: &Case, name: &str) -> (usize, usize) {
-    let shape = case.input(name).shape();
-    (shape[1], shape[0])
-}
-
-fn image<T: Real>(case: &Case, name: &str) -> Image<[T; 3]> {
-    let values = case.input(name).f64();
-    let (w, h) = size(case, name);
-    Image::from_fn(w, h, |x, y| {
-        [0, 1, 2].map(|k| T::from_f64(values[3 * (y * w + x) + k]))
-    })
-}
-
-fn plane<T: Real>(case: &Case, name: &str) -> Image<T> {
-    let values = case.input(name).f64();
-    let (w, h) = size(case, name);
-    Image::from_fn(w, h, |x, y| T::from_f64(values[y * w + x]))
-}
-
-fn mask(case: &Case) -> Option<MaskImage> {
-    let tensor = case.try_input("excluded")?;
-    let (w, h) = size(case, "excluded");
-    Image::from_vec(w, h, tensor.u8().to_vec())
-}
-
-/// Every output under the name it has in `case.json`.
-fn outputs<T: Real>(
-    case: &Case,
-    ssim: Ssim<T>,
-    photometric: Photometric<T>,
-) -> Vec<(&'static str, Vec<f64>)> {
-    let mask = mask(case);
-    let excluded = mask.as_ref();
-    let wide = |v: &[T]| v.iter().map(|v| v.to_f64()).collect::<Vec<_>>();
-    let kind = case.param_str("loss");
-    match kind {
-        "l1" | "ssim" | "photometric" => {
-            let (x, y) = (image::<T>(case, "rendered"), image(case, "target"));
-            let loss = match kind {
-                "l1" => l1(&x, &y, excluded),
-                "ssim" => ssim(&x, &y, excluded, Par::Seq),
-                _ => photometric(&x, &y, case.param_f64("lambda"), excluded, Par::Seq),
-            }
-            .expect("a loss");
-            let gradient = loss.gradient.data().as_flattened();
-            vec![("value", wide(&[loss.value])), ("gradient", wide(gradient))]
-        }
-        "depth" => {
-            let measured = plane::<f32>(case, "measured");
-            let (depth, opacity) = (plane::<T>(case, "depth"), plane(case, "opacity"));
-            let least = case.param_f64("min_opacity");
-            let loss = depth_l1(&depth, &opacity, &measured, least, excluded).expect("a loss");
-            vec![
-                ("value", wide(&[loss.value])),
-                ("by_depth", wide(loss.depth.data())),
-                ("by_opacity", wide(loss.opacity.data())),
-            ]
-        }
-        "opacity" => {
-            let logits: Vec<T> = case
-                .input("logits")
-                .f64()
-                .into_iter()
-                .map(T::from_f64)
-                .collect();
-            let label = |&d: &u8| {
-                if d == 1 {
-                    Label::Dynamic
-                } else {
-                    Label::Static
-                }
-            };
-            let labels: Vec<Label> = case.input("dynamic").u8().iter().map(label).collect();
-            let loss = opacity_penalty(&logits, &labels).expect("a loss");
-            vec![
-                ("value", wide(&[loss.value])),
-                ("gradient", wide(&loss.opacity_logits)),
-            ]
-        }
-        other => panic!("{}: loss {other}", case.name()),
-    }
-}
-
-#[test]
-fn losses_in_f64() {
-    for case in Case::load_all("losses") {
-        for (by, ssim, photometric) in forms::<f64>() {
-            for (name, got) in outputs(&case, ssim, photometric) {
-                case.check(name, &got)
-                    .unwrap_or_else(|report| panic!("{by}: {report}"));
-            }
-        }
-    }
-}
-
-#[test]
-fn losses_in_f32() {
-    let cases = Case::load_all("losses");
-    for (case, (by, ssim, photometric)) in cases.iter().flat_map(|c| forms::<f32>().map(|f| (c, f)))
-    {
-        for (name, got) in outputs(case, ssim, photometric) {
-            let tolerance = match name {
-                "value" if case.has_flag("flat") => "losses.f32.value_flat",
-                "value" => "losses.f32.value",
-                _ => "losses.f32.gradient",
-            };
-            let tolerance = tol::find(tolerance).expect("in the table");
-            let verdict = compare(case.output(name), &got, tolerance).expect("same count");
-            assert!(
-                verdict.passed,
-                "{} '{name}' by {by}: {verdict}",
-                case.name()
-            );
-        }
-    }
 }
 
 type ColorImage = Image<[f64; 3]>;

@@ -12,9 +12,7 @@ use std::sync::OnceLock;
 use garad_core::{Label, MaskImage, Par, StampedPose};
 use garad_eval::{AteOptions, Confusion, ate};
 use garad_slam::config::TaggedLabels;
-use garad_slam::{
-    Config, FrameInput, FrameReport, LabelledFrame, Silent, Slam, TrackingState,
-};
+use garad_slam::{Config, FrameInput, FrameReport, LabelledFrame, Silent, Slam, TrackingState};
 use garad_synth::{Scene, SceneConfig, SceneName, SynthFrame};
 
 const BOOTSTRAP: usize = 10;
@@ -420,7 +418,11 @@ fn a_landmark_and_its_gaussian_never_differ() {
             .collect();
         let moving = pairs.iter().filter(|(l, _)| *l == Label::Dynamic).count();
         let differ = pairs.iter().filter(|(l, g)| l != g).count();
-        assert!(pairs.len() > 300 && moving > 10, "{moving} of {}", pairs.len());
+        assert!(
+            pairs.len() > 300 && moving > 10,
+            "{moving} of {}",
+            pairs.len()
+        );
         match tagged {
             TaggedLabels::Landmark => assert_eq!(differ, 0, "of {}", pairs.len()),
             TaggedLabels::Evidence => assert!(differ < pairs.len() / 10, "{differ}"),

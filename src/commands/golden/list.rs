@@ -8,13 +8,8 @@ use serde_json::{Value, json};
 
 use crate::commands::say;
 
-fn tensors<'a>(case: &'a Case, names: impl Iterator<Item = &'a str>, inputs: bool) -> Vec<Value> {
-    let entry = |name: &str| {
-        let tensor = if inputs {
-            case.input(name)
-        } else {
-            case.output(name)
-        };
+fn tensors(case: &Case, tensors: &BTreeMap<String, Tensor>, inputs: bool) -> Vec<Value> {
+    let entry = |(name, tensor): (&String, &Tensor)| {
         let tolerance = case.tolerance(name).ok().filter(|_| !inputs);
         json!({
             "name": name,
@@ -23,7 +18,7 @@ fn tensors<'a>(case: &'a Case, names: impl Iterator<Item = &'a str>, inputs: boo
             "tolerance": tolerance.map(|t| t.name),
         })
     };
-    names.map(entry).collect()
+    tensors.iter().map(entry).collect()
 }
 
 /// Prints them, `as_json` or to read.
@@ -37,10 +32,10 @@ pub(super) fn list(cases: &[Case], as_json: bool) -> Result<()> {
                 "why": case.why(),
                 "basis": case.basis(),
                 "equations": case.equations(),
-                "flags": case.flags(),
-                "params": case.param_names().map(|n| (n, case.param(n))).collect::<BTreeMap<_, _>>(),
-                "inputs": tensors(case, case.input_names(), true),
-                "outputs": tensors(case, case.output_names(), false),
+                "flags": case.inputs().flags(),
+                "params": case.inputs().params(),
+                "inputs": tensors(case, case.inputs().tensors(), true),
+                "outputs": tensors(case, case.outputs(), false),
             })
         };
         let list: Vec<Value> = cases.iter().map(entry).collect();
@@ -59,19 +54,13 @@ pub(super) fn list(cases: &[Case], as_json: bool) -> Result<()> {
         };
         say(&format!("  {} · {}{equations}", case.case(), case.basis()))?;
         say(&format!("      {}", case.why()))?;
-        let shape = |name: &str, tensor: &Tensor| {
-            format!("{name} {}{:?}", tensor.dtype().name(), tensor.shape())
-        };
-        let inputs = case.input_names().map(|n| shape(n, case.input(n)));
-        let outputs = case.output_names().map(|n| shape(n, case.output(n)));
-        say(&format!(
-            "      in   {}",
-            inputs.collect::<Vec<_>>().join(", ")
-        ))?;
-        say(&format!(
-            "      out  {}",
-            outputs.collect::<Vec<_>>().join(", ")
-        ))?;
+        for (side, tensors) in [("in ", case.inputs().tensors()), ("out", case.outputs())] {
+            let shape = |(name, t): (&String, &Tensor)| {
+                format!("{name} {}{:?}", t.dtype().name(), t.shape())
+            };
+            let shapes: Vec<String> = tensors.iter().map(shape).collect();
+            say(&format!("      {side}  {}", shapes.join(", ")))?;
+        }
     }
     say(&format!("{} cases", cases.len()))
 }

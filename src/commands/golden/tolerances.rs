@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
-use garad::conformance::own::{self, Width};
+use garad_conformance::Width;
 use garad_golden::judge::judge;
 use garad_golden::{Case, Class, Dtype, tol};
 
@@ -14,10 +14,10 @@ fn margins(cases: &[Case]) -> Result<BTreeMap<String, f64>> {
     let mut margins = BTreeMap::new();
     for width in [Width::F64, Width::F32] {
         for case in cases {
-            let Some(answers) = own::answers(case, width)? else {
+            let Some(outputs) = super::own(case, width)? else {
                 continue;
             };
-            for output in judge(case, &answers, false).outputs {
+            for output in judge(case, &outputs.answers(), false).outputs {
                 let Some(comparison) = output.comparison else {
                     continue;
                 };

@@ -6,6 +6,16 @@ use garad_dataset::{Dataset, DatasetError, OpenOptions, Preset};
 
 use crate::fixture::{Recording, colour, raw_depth};
 
+/// The committed part of a TUM recording, which the golden stage `decode` reads.
+#[test]
+fn the_sample_is_whole() {
+    let sample = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/tum_fr1_desk_9");
+    let dataset = Dataset::open(&sample, &OpenOptions::default()).expect("the sample");
+    assert_eq!(dataset.len(), 9, "frames");
+    assert_eq!(dataset.warnings(), [] as [String; 0], "nothing odd");
+    assert_eq!(dataset.ground_truth().map(<[_]>::len), Some(226), "poses");
+}
+
 #[test]
 fn a_good_recording_reads_as_it_was_written() {
     let recording = Recording::new(3);

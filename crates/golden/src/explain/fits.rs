@@ -1,8 +1,8 @@
 //! The right numbers but for a factor, an offset or a function.
 
-use super::Suspect;
+use super::suspect::Suspect;
 
-/// Factors that slips have: signs, halves, squares of two, degrees.
+/// Factors of usual mistakes: signs, halves, squares of two, degrees.
 const FACTORS: [(f64, &str); 8] = [
     (-1.0, "the sign"),
     (2.0, "a factor of 2"),
@@ -14,7 +14,7 @@ const FACTORS: [(f64, &str); 8] = [
     (180.0 / std::f64::consts::PI, "degrees instead of radians"),
 ];
 
-/// Offsets that slips have.
+/// Offsets of usual mistakes.
 const OFFSETS: [(f64, &str); 4] = [
     (0.5, "half a unit too much: pixel centres at 0.5?"),
     (-0.5, "half a unit too little: pixel centres at 0.5?"),
@@ -148,9 +148,9 @@ fn column_offsets(s: &Suspect<'_>) -> Option<String> {
 
 /// What pixels are too much by if the principal point is put elsewhere.
 fn centers(s: &Suspect<'_>) -> Vec<(f64, &'static str)> {
-    let size = ["width", "height"].map(|name| s.case.param(name).and_then(|v| v.as_f64()));
-    let k = s.case.try_input("intrinsics").map(|t| t.f64());
-    let ([Some(width), Some(height)], Some([_, _, cx, cy])) = (size, k.as_deref()) else {
+    let size = ["width", "height"].map(|name| s.case.inputs().number(name));
+    let k = s.case.inputs().row::<4>("intrinsics");
+    let ([Ok(width), Ok(height)], Ok([_, _, cx, cy])) = (size, k) else {
         return Vec::new();
     };
     let pairs = [(width, cx), (height, cy)];

@@ -1,6 +1,6 @@
 //! The right numbers in the wrong places.
 
-use super::Suspect;
+use super::suspect::Suspect;
 
 /// Half a pixel is named if undoing it takes at least this share off the error.
 const HALF_PIXEL_GAIN: f64 = 0.35;
@@ -137,7 +137,7 @@ fn rows(s: &Suspect<'_>) -> Option<String> {
     s.named("the same rows in another order", &matched)
 }
 
-/// Pictures, as large as the case says or at least 8 x 8, displaced by one pixel.
+/// Images, as large as the case says or at least 8 x 8, displaced by one pixel.
 fn shifts(s: &Suspect<'_>) -> Option<String> {
     let [height, width, ..] = *s.shape else {
         return None;
@@ -161,7 +161,7 @@ fn shifts(s: &Suspect<'_>) -> Option<String> {
         (1, 1, "one pixel down and to the right"),
         (-1, -1, "one pixel up and to the left"),
     ];
-    // What comes from outside of the picture is not judged.
+    // What comes from outside of the image is not judged.
     let moved = |down: isize, right: isize| -> Vec<f64> {
         (0..s.got.len())
             .map(|i| {
@@ -182,16 +182,16 @@ fn shifts(s: &Suspect<'_>) -> Option<String> {
     whole.or_else(|| half_shifts(s, &moved))
 }
 
-/// Half a pixel cannot be undone, but the mean of two displaced pictures comes near.
+/// Half a pixel cannot be undone, but the mean of two displaced images comes near.
 fn half_shifts(s: &Suspect<'_>, moved: &dyn Fn(isize, isize) -> Vec<f64>) -> Option<String> {
     let error = |numbers: &[f64]| -> f64 {
         let pairs = numbers.iter().zip(s.expected);
         pairs.map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
     };
-    let mean = |pictures: &[Vec<f64>]| -> Vec<f64> {
-        let n = pictures.len() as f64;
+    let mean = |images: &[Vec<f64>]| -> Vec<f64> {
+        let n = images.len() as f64;
         (0..s.got.len())
-            .map(|i| pictures.iter().map(|p| p[i]).sum::<f64>() / n)
+            .map(|i| images.iter().map(|p| p[i]).sum::<f64>() / n)
             .collect()
     };
     let moves = [

@@ -1,6 +1,7 @@
-//! Slips that other tensors of the case give away.
+//! Mistakes that other tensors of the case show.
 
-use super::Suspect;
+use super::suspect::Suspect;
+use crate::tensor::Tensor;
 
 /// Tries what the inputs and the other outputs suggest.
 pub(super) fn find(s: &Suspect<'_>) -> Option<String> {
@@ -15,8 +16,7 @@ pub(super) fn find(s: &Suspect<'_>) -> Option<String> {
 
 /// Another output's expected numbers.
 fn sibling(s: &Suspect<'_>, name: &str) -> Option<Vec<f64>> {
-    let there = s.case.output_names().any(|output| output == name);
-    there.then(|| s.case.output(name).f64())
+    s.case.outputs().get(name).map(Tensor::f64)
 }
 
 /// -R times what was given, if the rotations are an output, too.
@@ -54,7 +54,7 @@ fn unit(q: [f64; 4]) -> [f64; 4] {
 
 /// Rotations from quaternions (x, y, z, w), or from ones of any length.
 fn quaternion_order(s: &Suspect<'_>) -> Option<String> {
-    let quaternions = s.case.try_input("quaternions")?.f64();
+    let quaternions = s.case.inputs().get("quaternions")?.f64();
     if s.output != "rotation" || quaternions.len() * 9 != s.got.len() * 4 {
         return None;
     }
@@ -74,7 +74,7 @@ fn pose_reading(s: &Suspect<'_>) -> Option<String> {
     if s.output != "p_cam" {
         return None;
     }
-    let input = |name: &str| s.case.try_input(name).map(|tensor| tensor.f64());
+    let input = |name: &str| s.case.inputs().get(name).map(|tensor| tensor.f64());
     let points = input("means")?;
     let q: [f64; 4] = input("camera_from_world_q")?.try_into().ok()?;
     let t: [f64; 3] = input("camera_from_world_t")?.try_into().ok()?;
@@ -162,7 +162,7 @@ fn activation(s: &Suspect<'_>) -> Option<String> {
         "d_opacity_logits" => ("opacity_logits", "opacity"),
         _ => return None,
     };
-    let parameters = s.case.try_input(input)?.f64();
+    let parameters = s.case.inputs().get(input)?.f64();
     if parameters.len() != s.got.len() {
         return None;
     }
@@ -180,12 +180,12 @@ fn activation(s: &Suspect<'_>) -> Option<String> {
     )
 }
 
-/// A picture without its background, or with the background everywhere.
+/// An image without its background, or with the background everywhere.
 fn background(s: &Suspect<'_>) -> Option<String> {
     if s.output != "color" {
         return None;
     }
-    let light = s.case.try_input("background")?.f64();
+    let light = s.case.inputs().get("background")?.f64();
     let left = sibling(s, "transmittance")?;
     let n = light.len();
     if left.len() * n != s.got.len() {

@@ -1,0 +1,41 @@
+//! [`Suspect`]: an answer to be explained.
+
+use crate::case::Case;
+
+/// An answer that is not within tolerance, and the means to try others.
+pub(super) struct Suspect<'a> {
+    pub(super) case: &'a Case,
+    pub(super) output: &'a str,
+    pub(super) shape: &'a [usize],
+    pub(super) expected: &'a [f64],
+    pub(super) got: &'a [f64],
+    /// Whether other numbers in its place are within tolerance.
+    pub(super) passes: &'a dyn Fn(&[f64]) -> bool,
+}
+
+impl Suspect<'_> {
+    /// Length of the last axis, 1 for a scalar.
+    pub(super) fn columns(&self) -> usize {
+        self.shape.last().copied().unwrap_or(1).max(1)
+    }
+
+    /// Numbers per column.
+    pub(super) fn rows(&self) -> usize {
+        self.got.len() / self.columns()
+    }
+
+    /// The answer with another number in each place.
+    pub(super) fn map(&self, f: impl Fn(usize, f64) -> f64) -> Vec<f64> {
+        self.got.iter().enumerate().map(|(i, &g)| f(i, g)).collect()
+    }
+
+    /// The answer with element `from(i)` in place `i`.
+    pub(super) fn gather(&self, from: impl Fn(usize) -> usize) -> Vec<f64> {
+        (0..self.got.len()).map(|i| self.got[from(i)]).collect()
+    }
+
+    /// `name` if these numbers are within tolerance.
+    pub(super) fn named(&self, name: &str, numbers: &[f64]) -> Option<String> {
+        (self.passes)(numbers).then(|| name.to_owned())
+    }
+}
