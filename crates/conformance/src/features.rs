@@ -166,8 +166,8 @@ pub(crate) fn place(inputs: &Inputs) -> Answer {
         .iter()
         .flat_map(|image| index.query(image, KEYFRAMES, |_| false));
     let mut out = Outputs::default();
-    out.shaped("score", &axes, scores);
-    out.shaped("order", &axes, order.map(|candidate| candidate.id.0));
+    out.shaped("score", &axes, scores)?;
+    out.shaped("order", &axes, order.map(|candidate| candidate.id.0))?;
     Ok(out)
 }
 

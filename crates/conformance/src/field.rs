@@ -161,12 +161,12 @@ pub(crate) fn kernels(inputs: &Inputs) -> Answer {
         "k1",
         &axes,
         pairs().map(|(a, b)| kernel::feature(a, b, &config)),
-    );
+    )?;
     out.shaped(
         "k2",
         &axes,
         pairs().map(|(a, b)| kernel::position(a, b, &config)),
-    );
+    )?;
     Ok(out)
 }
 
@@ -185,7 +185,7 @@ pub(crate) fn mean_field(inputs: &Inputs, par: Par, method: Method) -> Answer {
     }
     let last = last.ok_or("no number of iterations")?;
     let mut out = Outputs::default();
-    out.shaped("q", &[counts, nodes.len()], after_each);
+    out.shaped("q", &[counts, nodes.len()], after_each)?;
     out.put("labels", codes(&last.labels));
     // Couplings without a norm are symmetric, so that labellings have an energy; few nodes have few labellings.
     if config.mean_field.normalisation == Normalisation::None {

@@ -69,39 +69,50 @@ impl<E: Element, const N: usize> Element for [E; N] {
 impl Outputs {
     /// One element: no axis of its own.
     pub fn one<E: Element>(&mut self, name: &str, element: E) {
-        self.shaped(name, &[], [element]);
+        self.counted(name, &[], [element]);
     }
 
     /// A list: one axis for its elements, before theirs.
     pub fn put<E: Element>(&mut self, name: &str, elements: impl IntoIterator<Item = E>) {
         let elements: Vec<E> = elements.into_iter().collect();
-        self.shaped(name, &[elements.len()], elements);
+        self.counted(name, &[elements.len()], elements);
     }
 
     /// An image: height, width, and the axes of its pixels.
     pub fn image<E: Element + Copy>(&mut self, name: &str, image: &Image<E>) {
         let shape = [image.height(), image.width()];
-        self.shaped(name, &shape, image.data().iter().copied());
+        self.counted(name, &shape, image.data().iter().copied());
+    }
+
+    fn counted<E: Element>(
+        &mut self,
+        name: &str,
+        axes: &[usize],
+        all: impl IntoIterator<Item = E>,
+    ) {
+        let done = self.shaped(name, axes, all);
+        done.expect("axes come from the number of elements");
     }
 
     /// Elements under axes of any number, before their own.
     ///
-    /// # Panics
+    /// # Errors
     /// If there are more or fewer elements than that.
     pub fn shaped<E: Element>(
         &mut self,
         name: &str,
         axes: &[usize],
         elements: impl IntoIterator<Item = E>,
-    ) {
+    ) -> Result<(), Error> {
         let mut bytes = Vec::new();
-        elements
-            .into_iter()
-            .for_each(|element| element.write(&mut bytes));
+        for element in elements {
+            element.write(&mut bytes);
+        }
         let shape = [axes, &E::shape()].concat();
         let tensor = Tensor::from_bytes(E::DTYPE, shape, bytes);
-        let tensor = tensor.unwrap_or_else(|| panic!("'{name}': not {axes:?} elements"));
+        let tensor = tensor.ok_or_else(|| format!("'{name}' does not have {axes:?} elements"))?;
         self.0.insert(name.to_owned(), tensor);
+        Ok(())
     }
 
     /// Every output by name.
@@ -129,7 +140,14 @@ mod tests {
         out.one("cost", 1.5);
         out.put("uv", [[1.0f32, 2.0], [3.0, 4.0], [5.0, 6.0]]);
         out.image("rgb", &Image::new(4, 2, [7u8; 3]));
-        out.shaped("k", &[2, 2], [true, false, false, true]);
+        out.shaped("k", &[2, 2], [true, false, false, true])
+            .unwrap();
+        let error = out.shaped("k", &[2, 3], [1.0, 2.0]).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "'k' does not have [2, 3] elements",
+            "too few"
+        );
         let of = |name: &str| {
             let tensor = &out.tensors()[name];
             (tensor.dtype(), tensor.shape().to_vec(), tensor.f64())

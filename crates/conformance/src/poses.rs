@@ -102,9 +102,9 @@ pub(crate) fn reprojection(inputs: &Inputs) -> Answer {
     }
     let mut out = Outputs::default();
     let n = seen.len();
-    out.shaped("residual", &[n, residual.len() / n.max(1)], residual);
-    out.shaped("by_pose", &[n, by_pose.len() / (6 * n).max(1), 6], by_pose);
-    out.shaped("by_point", &[n, 2, 3], by_point);
+    out.shaped("residual", &[n, 3], residual)?;
+    out.shaped("by_pose", &[n, 3, 6], by_pose)?;
+    out.shaped("by_point", &[n, 2, 3], by_point)?;
     Ok(out)
 }
 

@@ -202,9 +202,9 @@ pub(crate) fn harmonics<T: Real + Element>(inputs: &Inputs) -> Answer {
     }
     let count = directions.len();
     let mut out = Outputs::default();
-    out.shaped("basis", &[count, n], basis);
-    out.shaped("tangent_gradient", &[count, n], slope);
-    out.shaped("color", &[count, degree + 1], color);
+    out.shaped("basis", &[count, n], basis)?;
+    out.shaped("tangent_gradient", &[count, n], slope)?;
+    out.shaped("color", &[count, degree + 1], color)?;
     Ok(out)
 }
 
@@ -225,7 +225,7 @@ pub(crate) fn backward<T: Real + Element>(inputs: &Inputs, par: Par, engine: Eng
     } = &scene;
     let found = (engine.back)(map, camera, pose, options, &image, &upstream, par)?;
     let mut out = Outputs::default();
-    put_gradients(&mut out, &found, map.coefficients(), "");
+    put_gradients(&mut out, &found, map.coefficients(), "")?;
     out.one("d_pose", found.pose);
     out.put("d_means2d", found.means2d);
     out.put("d_conics", found.conics);
@@ -241,7 +241,7 @@ pub(crate) fn put_gradients<T: Real + Element>(
     found: &Gradients<T>,
     coefficients: usize,
     suffix: &str,
-) {
+) -> Result<(), Error> {
     let named = |name: &str| format!("d_{name}{suffix}");
     out.put(&named("means"), found.means.iter().copied());
     out.put(&named("log_scales"), found.log_scales.iter().copied());
@@ -251,5 +251,5 @@ pub(crate) fn put_gradients<T: Real + Element>(
         found.opacity_logits.iter().copied(),
     );
     let axes = [found.means.len(), coefficients];
-    out.shaped(&named("sh"), &axes, found.sh.iter().copied());
+    out.shaped(&named("sh"), &axes, found.sh.iter().copied())
 }

@@ -32,8 +32,8 @@ pub(crate) fn decode(inputs: &Inputs) -> Answer {
     let known = frame.depth.data().iter().filter(|d| **d > 0.0);
     let raw = known.clone().map(|d| (f64::from(*d) * 5000.0).round());
     let mut out = Outputs::default();
-    out.shaped("rgb", &axes, places.clone().map(|at| frame.rgb[at]));
-    out.shaped("depth", &axes, places.map(|at| frame.depth[at]));
+    out.shaped("rgb", &axes, places.clone().map(|at| frame.rgb[at]))?;
+    out.shaped("depth", &axes, places.map(|at| frame.depth[at]))?;
     out.put("rgb_sum", sum);
     out.put("depth_raw_sum", [raw.fold(0.0, |sum, d| sum + d)]);
     out.put("depth_known", [known.count()]);
@@ -75,7 +75,7 @@ pub(crate) fn ply(inputs: &Inputs) -> Answer {
     let mut out = Outputs::default();
     out.put("means", map.means.iter().copied());
     let coefficients = [map.len(), map.coefficients()];
-    out.shaped("sh", &coefficients, map.sh.iter().copied());
+    out.shaped("sh", &coefficients, map.sh.iter().copied())?;
     out.put("opacity_logits", map.opacity_logits.iter().copied());
     out.put("log_scales", map.log_scales.iter().copied());
     out.put("quaternions", map.quaternions.iter().copied());

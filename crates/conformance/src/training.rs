@@ -58,7 +58,7 @@ pub(crate) fn adam<T: Real + Element>(inputs: &Inputs) -> Answer {
         path.extend(all);
     }
     let mut out = Outputs::default();
-    out.shaped("path", &[rates.len(), n], path);
+    out.shaped("path", &[rates.len(), n], path)?;
     Ok(out)
 }
 
@@ -123,13 +123,13 @@ pub(crate) fn train_step<T: Real + Element>(
         optimiser.step(&mut map, &gradients)?;
         let named = |name: &str| format!("{name}{suffix}");
         out.put(&named("loss"), [loss]);
-        put_gradients(&mut out, &gradients, map.coefficients(), &suffix);
+        put_gradients(&mut out, &gradients, map.coefficients(), &suffix)?;
         out.put(&named("means"), map.means.iter().copied());
         out.put(&named("log_scales"), map.log_scales.iter().copied());
         out.put(&named("quaternions"), map.quaternions.iter().copied());
         out.put(&named("opacity_logits"), map.opacity_logits.iter().copied());
         let axes = [map.len(), map.coefficients()];
-        out.shaped(&named("sh"), &axes, map.sh.iter().copied());
+        out.shaped(&named("sh"), &axes, map.sh.iter().copied())?;
     }
     Ok(out)
 }

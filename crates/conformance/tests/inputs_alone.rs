@@ -1,9 +1,10 @@
-//! Stages answer without the expected outputs: a case whose outputs were removed gets the same answers.
+//! Stages answer without the expected outputs: a case whose outputs were removed gets the same answers. A case without
+//! inputs is an error.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use garad_conformance::forms;
+use garad_conformance::{STAGES, Width, answer, forms};
 use garad_core::Par;
 use garad_golden::Case;
 use serde_json::{Value, json};
@@ -24,21 +25,23 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// The case with its inputs alone.
-fn without_outputs(case: &Case, root: &Path) -> Case {
+/// The case without its outputs, or without more of its parts.
+fn without(case: &Case, parts: &[&str], root: &Path) -> Case {
     let folder = root.join(case.name());
     copy(case.folder(), &folder);
     let path = folder.join("case.json");
     let text = fs::read_to_string(&path).expect("there");
     let mut manifest: Value = serde_json::from_str(&text).expect("JSON");
-    for output in manifest["outputs"].as_object().expect("outputs").values() {
-        if let Some(file) = output["file"].as_str() {
-            fs::remove_file(folder.join(file)).expect("there");
+    for part in parts {
+        for entry in manifest[part].as_object().expect("a list").values() {
+            if let Some(file) = entry["file"].as_str() {
+                fs::remove_file(folder.join(file)).expect("there");
+            }
         }
+        manifest[part] = json!({});
     }
-    manifest["outputs"] = json!({});
     fs::write(&path, manifest.to_string()).expect("written");
-    Case::load(&folder).expect("a case without outputs")
+    Case::load(&folder).expect("a case with less in it")
 }
 
 #[test]
@@ -52,7 +55,7 @@ fn answers_need_no_expected_output() {
     let cases = Case::load_root(&Case::root()).expect("committed");
     let mut answered = 0;
     for case in &cases {
-        let stripped = without_outputs(case, &root);
+        let stripped = without(case, &["outputs"], &root);
         assert!(stripped.outputs().is_empty(), "{}", case.name());
         for form in forms(case.stage()) {
             let answer = |case: &Case| form.answer(case.inputs(), Par::Seq).expect("sound");
@@ -67,4 +70,16 @@ fn answers_need_no_expected_output() {
         }
     }
     assert!(answered >= 147, "only {answered} answers");
+}
+
+#[test]
+fn what_is_missing_is_an_error_and_names_the_case() {
+    let temporary = tempfile::tempdir().expect("a folder");
+    for (stage, _) in STAGES {
+        let case = &Case::load_all(stage)[0];
+        let empty = without(case, &["inputs", "params"], temporary.path());
+        let error = answer(empty.inputs(), Width::F64).expect_err("nothing to compute with");
+        let text = error.to_string();
+        assert!(text.starts_with(&format!("{}: ", case.name())), "{text}");
+    }
 }
