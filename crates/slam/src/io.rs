@@ -54,7 +54,7 @@ pub enum TrackingState {
     NotInitialised,
     /// The pose is good.
     Tracking,
-    /// No pose: the camera is looked for among the keyframes.
+    /// No pose: the camera is searched for among the keyframes.
     Lost,
 }
 

@@ -49,7 +49,7 @@ fn begin(recording: &Recording, config: Config, par: Par) -> Slam {
     Slam::new(recording.scene.camera(), config, 0, par).expect("valid")
 }
 
-/// Gives these frames, and returns what was said of the first ones later.
+/// Processes these frames, and returns the first ones if they were replayed.
 fn go_on(slam: &mut Slam, frames: &[SynthFrame]) -> Vec<ReplayedFrame> {
     let mut again = Vec::new();
     for frame in frames {
@@ -117,7 +117,7 @@ fn people_in_the_first_frames_are_found_and_distort_no_pose() {
         let mask = labels.mask(frame.rgb.size());
         all += Confusion::of_masks(&mask, &frame.mask).expect("same size");
     }
-    assert!(all.iou().expect("somebody") > 0.85, "IoU {:?}", all.iou());
+    assert!(all.iou().expect("people") > 0.85, "IoU {:?}", all.iou());
 }
 
 #[test]

@@ -68,7 +68,7 @@ fn walking_alone() -> &'static (Recording, Run) {
     })
 }
 
-/// Everything a run said.
+/// The outputs of a run.
 #[derive(Debug)]
 struct Run {
     path: Vec<StampedPose>,
@@ -219,7 +219,7 @@ fn people_who_walk_are_found_and_kept_out_of_the_pose() {
         wrong < 0.015,
         "static pixels called moving {wrong} (0.0093)"
     );
-    // Nobody stands where they stood: towards the end the outlines are full.
+    // Nobody stands where they stood before: towards the end the outlines are full.
     let end = figures(recording, on, 50..60);
     assert!(end.f1() > 0.9, "F1 of the last ten {} (0.934)", end.f1());
     assert!(
@@ -260,7 +260,10 @@ fn static_scenes_have_no_dynamic_labels() {
         assert!(wrong < 0.002, "{what}: keypoints {wrong} (0)");
         let wrong = wrongly_moving(&reached.pixels);
         assert!(wrong < 0.002, "{what}: pixels {wrong} (0)");
-        assert!(reached.pixels.total() > 3_000_000, "{what}: all were asked");
+        assert!(
+            reached.pixels.total() > 3_000_000,
+            "{what}: all pixels are judged"
+        );
         let wrong = run.moving_landmarks as f64 / run.landmarks as f64;
         assert!(wrong < 0.02, "{what}: landmarks {wrong} (0.0055, 0.0107)");
     }
@@ -442,7 +445,11 @@ fn without_flow_suspects_stay_suspects() {
     let mut kept = 0;
     for ((px, with), (_, without)) in a.keypoints.iter().zip(&b.keypoints) {
         if *with == Label::Dynamic {
-            assert_eq!(*without, Label::Dynamic, "{px:?}: flow accuses nobody");
+            assert_eq!(
+                *without,
+                Label::Dynamic,
+                "{px:?}: the flow check makes nothing dynamic"
+            );
             kept += 1;
         }
     }
@@ -459,7 +466,7 @@ fn without_flow_suspects_stay_suspects() {
     );
 }
 
-/// `--without crf`: nobody is asked, nothing moves.
+/// `--without crf`: nothing is labelled, nothing moves.
 #[test]
 fn without_labels_everything_is_static() {
     let run = walking_unlabelled();
@@ -472,7 +479,7 @@ fn without_labels_everything_is_static() {
     assert!(run.path != walking_labelled().path, "it makes a difference");
 }
 
-/// Of who gives a mask, no label is asked.
+/// With a given mask the frame is not labelled.
 #[test]
 fn a_given_mask_is_all_that_moves() {
     let recording = walking();
@@ -485,7 +492,7 @@ fn a_given_mask_is_all_that_moves() {
             mask: Some(&frame.mask),
         };
         let report = slam.process(&input, &mut Silent).expect("a good frame");
-        assert_eq!(slam.labelled_frame(), None, "not asked");
+        assert_eq!(slam.labelled_frame(), None, "not labelled");
         assert!(report.dynamic_keypoints > 50, "of the mask: {report:?}");
     }
     let landmarks = slam.map().landmarks();

@@ -74,7 +74,7 @@ fn twenty_dark_frames_and_the_camera_is_found_within_ten() {
     assert!(error.stats.rmse < 0.01, "ATE {} m", error.stats.rmse);
 }
 
-/// The camera sees 60 frames of one end of the room, then at once a place it knows from the start,
+/// The camera sees 60 frames of one end of the room, then at once a place seen at the start,
 /// then one it has never seen.
 #[test]
 fn a_kidnapped_camera_is_found_where_the_map_knows_the_place() {

@@ -73,12 +73,12 @@ struct Outcome {
 }
 
 #[derive(Debug, Default)]
-struct Said {
+struct Outputs {
     reports: Vec<FrameReport>,
     labels: Vec<Option<LabelledFrame>>,
 }
 
-impl Said {
+impl Outputs {
     fn go_on(&mut self, slam: &mut Slam, until: usize) {
         for frame in &recording().frames[self.reports.len()..until] {
             let input = FrameInput {
@@ -113,7 +113,7 @@ fn start(par: Par) -> Slam {
 
 fn uninterrupted() -> &'static Outcome {
     static OUTCOME: OnceLock<Outcome> = OnceLock::new();
-    OUTCOME.get_or_init(|| Said::default().end(start(Par::Seq)))
+    OUTCOME.get_or_init(|| Outputs::default().end(start(Par::Seq)))
 }
 
 fn saved(slam: &mut Slam) -> Vec<u8> {
@@ -123,10 +123,10 @@ fn saved(slam: &mut Slam) -> Vec<u8> {
 }
 
 /// The state after so many frames.
-fn session(frames: usize, par: Par) -> (Vec<u8>, Said, Slam) {
-    let (mut slam, mut said) = (start(par), Said::default());
-    said.go_on(&mut slam, frames);
-    (saved(&mut slam), said, slam)
+fn session(frames: usize, par: Par) -> (Vec<u8>, Outputs, Slam) {
+    let (mut slam, mut seen) = (start(par), Outputs::default());
+    seen.go_on(&mut slam, frames);
+    (saved(&mut slam), seen, slam)
 }
 
 fn load(bytes: &[u8], par: Par) -> Slam {
@@ -171,8 +171,8 @@ fn resumed_anywhere_the_run_ends_with_the_same_bits() {
         (24, Par::Seq, Par::Threads(2)),
         (FRAMES, Par::Seq, Par::Seq),
     ] {
-        let (bytes, said, _) = session(frames, first);
-        let outcome = said.end(load(&bytes, second));
+        let (bytes, seen, _) = session(frames, first);
+        let outcome = seen.end(load(&bytes, second));
         assert!(
             outcome == *uninterrupted(),
             "saved after {frames} frames, {first:?} to {second:?}"
@@ -194,20 +194,20 @@ fn a_session_has_the_same_bits_for_any_number_of_threads_and_again_when_loaded()
 #[test]
 fn saving_does_not_change_the_run() {
     for par in [Par::Seq, Par::Threads(2)] {
-        let (mut slam, mut said) = (start(par), Said::default());
+        let (mut slam, mut seen) = (start(par), Outputs::default());
         for frames in [3, 17, 18, 21] {
-            said.go_on(&mut slam, frames);
+            seen.go_on(&mut slam, frames);
             saved(&mut slam);
         }
-        assert!(said.end(slam) == *uninterrupted(), "{par:?}");
+        assert!(seen.end(slam) == *uninterrupted(), "{par:?}");
     }
 }
 
 #[test]
 fn a_job_under_way_waits_for_its_frame() {
-    let (bytes, said, _) = session(17, Par::Threads(2));
+    let (bytes, seen, _) = session(17, Par::Threads(2));
     let slam = load(&bytes, Par::Threads(2));
-    let due = said.reports.iter().filter(|r| r.keyframe.is_some()).count() - slam.mapped().len();
+    let due = seen.reports.iter().filter(|r| r.keyframe.is_some()).count() - slam.mapped().len();
     assert!(due > 0, "the session was saved with a job under way");
 }
 

@@ -99,7 +99,7 @@ fn any_number_of_threads_gives_the_same_bits() {
     assert!(one == bits(Par::Threads(3)), "3 threads");
 }
 
-/// Pictures go black: lost, and found again where the map knows the place.
+/// Images turn black: lost, and relocalised where the map covers the place.
 #[test]
 fn a_lost_camera_is_found_again() {
     let scene = Scene::new(&small(SceneName::QuietDesk, 24)).expect("valid scene");

@@ -207,10 +207,10 @@ mod tests {
     fn a_keyframe_is_part_of_the_history_for_memory_frames() {
         let world = world_that_saw(&wall(), Config::default());
         let depth = wall_behind([[48, 112], [32, 96]]);
-        for (id, asked) in [(130, true), (131, false)] {
+        for (id, found) in [(130, true), (131, false)] {
             let mut now = world.frame(id, &depth);
             let cells = world.label(&mut now, &depth, None).expect("labelled");
-            assert_eq!(moving_share(&cells) > 0.0, asked, "frame {id}: 40 + 90");
+            assert_eq!(moving_share(&cells) > 0.0, found, "frame {id}: 40 + 90");
         }
     }
 

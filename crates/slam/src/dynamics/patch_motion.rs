@@ -458,11 +458,11 @@ mod tests {
         // Something half as far in the middle of the shirt reaches into all its windows.
         let before = wall_behind([[80, 88], [60, 68]]);
         let [beside, _] = residuals(&world, &before, &swayed(SWAY_PX));
-        let said = beside.iter().filter(|r| **r > 0.0).count();
+        let found = beside.iter().filter(|r| **r > 0.0).count();
         let [all, _] = residuals(&world, &wall(), &swayed(SWAY_PX));
         assert!(
-            2 * said < all.len(),
-            "{said} of {} beside an edge",
+            2 * found < all.len(),
+            "{found} of {} beside an edge",
             all.len()
         );
         let off = world_that_saw(&images, Config::default());

@@ -335,11 +335,22 @@ mod tests {
     #[test]
     fn the_pose_of_keypoints_stays_if_too_few_links_are_left() {
         let (world, start, _) = in_step(Config::default());
-        let (mut plain, mut asked) = (start.clone(), start);
+        let (mut plain, mut refined_frame) = (start.clone(), start);
         assert_eq!(by_links(&world, &mut plain), 300, "all fit, more or less");
-        assert_eq!(refined(&world, &mut asked, 0.76), 300, "225 are too few");
-        assert_eq!(plain.camera_from_world, asked.camera_from_world, "pose");
-        assert_eq!(refined(&world, &mut asked, 0.75), 225, "225 are enough");
+        assert_eq!(
+            refined(&world, &mut refined_frame, 0.76),
+            300,
+            "225 are too few"
+        );
+        assert_eq!(
+            plain.camera_from_world, refined_frame.camera_from_world,
+            "pose"
+        );
+        assert_eq!(
+            refined(&world, &mut refined_frame, 0.75),
+            225,
+            "225 are enough"
+        );
     }
 
     #[test]
@@ -347,15 +358,18 @@ mod tests {
         let mut config = Config::default();
         config.depth_planes.enabled = false;
         let (world, start, _) = in_step(config);
-        let (mut plain, mut asked) = (start.clone(), start);
+        let (mut plain, mut refined_frame) = (start.clone(), start);
         let inliers = by_links(&world, &mut plain);
         assert_eq!(
-            refined(&world, &mut asked, MIN_SHARE_UNLABELLED),
+            refined(&world, &mut refined_frame, MIN_SHARE_UNLABELLED),
             inliers,
             "inliers"
         );
-        assert_eq!(plain.camera_from_world, asked.camera_from_world, "pose");
-        assert_eq!(plain.landmark, asked.landmark, "links");
+        assert_eq!(
+            plain.camera_from_world, refined_frame.camera_from_world,
+            "pose"
+        );
+        assert_eq!(plain.landmark, refined_frame.landmark, "links");
     }
 
     #[test]
