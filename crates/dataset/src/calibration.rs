@@ -22,7 +22,7 @@ use garad_core::Camera;
 use garad_core::camera::Distortion;
 
 use crate::errors::{DatasetError, excerpt};
-use crate::source::read_file;
+use crate::files::read_file;
 use crate::text::{Place, for_each_line, number};
 
 /// Names of the presets, for messages.

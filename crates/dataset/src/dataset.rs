@@ -10,9 +10,9 @@ use crate::associate::{associate, closest_s};
 use crate::calibration::{Calibration, PRESETS, Preset};
 use crate::decode::{self, Origin};
 use crate::errors::DatasetError;
-use crate::frames::Frames;
+use crate::files::{clean_name, read_file};
 use crate::list::{Entry, parse_list};
-use crate::source::{Source, clean_name, read_file};
+use crate::source::Source;
 use crate::trajectory::parse_trajectory;
 
 /// The folder of a recording that holds its masks, if it has any.
@@ -186,19 +186,6 @@ impl Dataset {
     /// [`DatasetError::ImageSize`], [`DatasetError::TooLarge`], each with frame and file.
     pub fn read(&self, i: usize) -> Result<Frame, DatasetError> {
         self.inner.read(i)
-    }
-
-    /// All frames in order, decoded up to `prefetch` frames ahead on a thread of their own; with
-    /// 0 they are decoded when asked for, on the asking thread.
-    #[must_use]
-    pub fn frames(&self, prefetch: usize) -> Frames {
-        self.frames_from(0, prefetch)
-    }
-
-    /// [`Dataset::frames`] from frame `first` on; those before are not decoded.
-    #[must_use]
-    pub fn frames_from(&self, first: usize, prefetch: usize) -> Frames {
-        Frames::new(self.clone(), first, prefetch)
     }
 
     /// The mask of frame i from a folder of masks: `<timestamp as in rgb.txt>.png`, or named as

@@ -27,8 +27,23 @@ struct Ahead {
     thread: JoinHandle<()>,
 }
 
+impl Dataset {
+    /// All frames in order, decoded up to `prefetch` frames ahead on a thread of their own; with
+    /// 0 they are decoded when asked for, on the asking thread.
+    #[must_use]
+    pub fn frames(&self, prefetch: usize) -> Frames {
+        self.frames_from(0, prefetch)
+    }
+
+    /// [`Dataset::frames`] from frame `first` on; those before are not decoded.
+    #[must_use]
+    pub fn frames_from(&self, first: usize, prefetch: usize) -> Frames {
+        Frames::new(self.clone(), first, prefetch)
+    }
+}
+
 impl Frames {
-    pub(crate) fn new(dataset: Dataset, first: usize, prefetch: usize) -> Self {
+    fn new(dataset: Dataset, first: usize, prefetch: usize) -> Self {
         // Without a thread (none asked for, or none to be had) frames are decoded when asked for.
         let ahead = (prefetch > 0)
             .then(|| {

@@ -33,6 +33,7 @@ mod damage;
 pub mod dataset;
 mod decode;
 mod errors;
+mod files;
 mod frames;
 pub mod limits;
 mod list;

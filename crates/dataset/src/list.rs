@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::errors::{DatasetError, excerpt};
-use crate::source::clean_name;
+use crate::files::clean_name;
 use crate::text::{Place, for_each_line, time_s};
 
 /// One line of a list.

@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 
 use crate::atomic::write_atomically;
 use crate::errors::{DatasetError, excerpt};
-use crate::source::read_file;
+use crate::files::read_file;
 use crate::text::{Place, for_each_line, number, time_s};
 
 /// How far the length of a written quaternion may be from 1; four decimals, as the TUM files

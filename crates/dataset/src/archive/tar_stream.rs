@@ -9,10 +9,10 @@ use std::rc::Rc;
 
 use flate2::read::MultiGzDecoder;
 
-use super::{Stored, broken, check_entries, entry_name, is_wanted, special, too_large};
+use super::entry::{Stored, broken, check_entries, entry_name, is_wanted, special, too_large};
 use crate::errors::DatasetError;
+use crate::files::check_file_size;
 use crate::limits;
-use crate::source::check_file_size;
 
 /// Finds the files of a plain tar; they stay where they are.
 pub(super) fn index_tar(path: &Path, file: File) -> Result<BTreeMap<String, Stored>, DatasetError> {
