@@ -1,9 +1,8 @@
 //! Walls, floor, pictures, print and cloth on the wall: what gives a room its corners.
 
-use crate::material::grain;
 use crate::pattern::{
-    Rgb, band, bands, cell, disc, fade, fbm, hash, lerp, mix, noise, part, print, scale, spots,
-    step,
+    Rgb, band, bands, cell, disc, fade, fbm, grain, hash, lerp, mix, noise, part, print, scale,
+    spots, step,
 };
 use crate::shape::Surface;
 

@@ -6,8 +6,8 @@
 use crate::clothes::Cloth;
 use crate::decor::{self, Picture};
 use crate::pattern::{
-    Rgb, band, bands, cell, disc, fade, fbm, hash, lerp, mix, noise, part, print, scale, spots,
-    step,
+    Rgb, band, bands, cell, disc, fade, fbm, grain, hash, lerp, mix, noise, part, print, scale,
+    spots, step,
 };
 use crate::shape::Surface;
 
@@ -117,24 +117,6 @@ fn wood(s: &Surface, tone: Rgb, fp: f32, seed: u32) -> Rgb {
         (s.uv[1], s.uv[0])
     };
     grain(along, across, tone, fp, seed.wrapping_add(face(s)))
-}
-
-/// Fibres along the first coordinate, with knots and rays of the heartwood.
-pub(crate) fn grain(along: f32, across: f32, tone: Rgb, fp: f32, seed: u32) -> Rgb {
-    let bend = 0.03 * noise(along, across, 0.5, fp, seed);
-    let rings = fbm(along * 0.08, across + bend, 0.03, 3, fp, seed ^ 1);
-    let fibre = noise(along * 0.05, across, 0.006, fp, seed ^ 2);
-    let cloud = noise(along, across, 0.3, fp, seed ^ 3);
-    let (knot, h) = spots(along * 0.5 + bend, across, 0.075, 0.16, fp, seed ^ 4);
-    let knot = knot * (0.25 + 0.3 * part(h, 1));
-    let shade = (1.0 + 0.20 * rings + 0.14 * fibre + 0.08 * cloud) * (1.0 - knot);
-    // dark wood is redder
-    let dark = (1.0 - shade).clamp(0.0, 0.6);
-    [
-        tone[0] * shade,
-        tone[1] * shade * (1.0 - 0.12 * dark),
-        tone[2] * shade * (1.0 - 0.35 * dark),
-    ]
 }
 
 /// Spines differ in colour, bands and the blocks of the title; the other faces are cover or pages.

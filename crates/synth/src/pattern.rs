@@ -176,6 +176,24 @@ pub(crate) fn print(u: f32, v: f32, pitch: f32, fp: f32, seed: u32) -> f32 {
     lerp(MEAN, ((letter >> (8 + dot)) & 1) as f32, w)
 }
 
+/// Fibres along the first coordinate, with knots and rays of the heartwood.
+pub(crate) fn grain(along: f32, across: f32, tone: Rgb, fp: f32, seed: u32) -> Rgb {
+    let bend = 0.03 * noise(along, across, 0.5, fp, seed);
+    let rings = fbm(along * 0.08, across + bend, 0.03, 3, fp, seed ^ 1);
+    let fibre = noise(along * 0.05, across, 0.006, fp, seed ^ 2);
+    let cloud = noise(along, across, 0.3, fp, seed ^ 3);
+    let (knot, h) = spots(along * 0.5 + bend, across, 0.075, 0.16, fp, seed ^ 4);
+    let knot = knot * (0.25 + 0.3 * part(h, 1));
+    let shade = (1.0 + 0.20 * rings + 0.14 * fibre + 0.08 * cloud) * (1.0 - knot);
+    // dark wood is redder
+    let dark = (1.0 - shade).clamp(0.0, 0.6);
+    [
+        tone[0] * shade,
+        tone[1] * shade * (1.0 - 0.12 * dark),
+        tone[2] * shade * (1.0 - 0.35 * dark),
+    ]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
