@@ -2,7 +2,7 @@
 //!
 //! RGB-D frames go in; out come the camera's path, a map of Gaussians, and for every feature
 //! whether it moves. This crate is the facade: it re-exports the stages under one roof and holds
-//! the [`runner`] that takes a recording through them and writes what came out.
+//! [`mod@run`], which takes a recording through them, and [`output`], which writes the results.
 //!
 //! Reading order for the method itself: [`core`] → [`features`] → [`optim`] → [`crf`] → [`raster`]
 //! → [`slam`]; `ARCHITECTURE.md` has the map.
@@ -20,12 +20,14 @@ pub use garad_synth as synth;
 
 pub mod config_file;
 pub mod conformance;
+pub mod images;
 pub mod output;
 pub mod packed_labels;
-pub mod pictures;
 pub mod progress;
+pub mod recording;
 pub mod render_quality;
-pub mod runner;
+pub mod run;
 pub mod session;
+pub mod source;
 pub mod stopwatch;
 pub mod trace;

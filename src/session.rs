@@ -14,12 +14,13 @@ use std::io::{self, BufReader, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use garad_core::{Camera, DepthImage, MaskImage, RgbImage};
+use garad_core::{Camera, GaussianMap};
 use garad_dataset::{write_atomically, write_bytes_atomically};
 use garad_slam::session::{FORMAT, PROGRAM};
 use serde::{Deserialize, Serialize};
 
-use crate::runner::Run;
+use crate::recording::Recording;
+use crate::run::Run;
 
 /// The page.
 const HEADER: &str = "session.json";
@@ -52,84 +53,6 @@ pub struct Header {
     pub camera: Camera,
     /// The file beside this one that holds the state.
     pub state: String,
-}
-
-/// What a recording is known by: the times of the frames that are done, and what the first and the last
-/// of them show. Its name may change.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Recording {
-    /// Name, for messages.
-    pub name: String,
-    /// Masks were given (`--oracle-labels`).
-    pub given_masks: bool,
-    /// Times of the frames that are done, seconds.
-    pub times_s: Vec<f64>,
-    /// [`fingerprint`] of the first and the last of them; `None` if it cannot be read.
-    pub pictures: [Option<u32>; 2],
-}
-
-/// CRC-32 of a frame's pictures.
-#[must_use]
-pub fn fingerprint(rgb: &RgbImage, depth: &DepthImage, mask: Option<&MaskImage>) -> u32 {
-    let mut hasher = crc32fast::Hasher::new();
-    hasher.update(rgb.data().as_flattened());
-    for row in 0..depth.height() {
-        let bytes: Vec<u8> = depth
-            .row(row)
-            .iter()
-            .flat_map(|z| z.to_le_bytes())
-            .collect();
-        hasher.update(&bytes);
-    }
-    if let Some(mask) = mask {
-        hasher.update(mask.data());
-    }
-    hasher.finalize()
-}
-
-impl Recording {
-    /// Checks that this is the recording `given` now. `given` has the times of all its frames.
-    ///
-    /// # Errors
-    /// The first thing in which they differ.
-    pub fn check(&self, given: &Self) -> Result<()> {
-        let done = self.times_s.len();
-        if self.given_masks != given.given_masks {
-            let [saved, now] = [self.given_masks, given.given_masks]
-                .map(|masks| if masks { "with" } else { "without" });
-            bail!("--oracle-labels: the session was made {saved}, this run is {now}");
-        }
-        if given.times_s.len() < done {
-            bail!(
-                "recording `{}`: {} frames are to be run, but {done} are already done; expected the \
-                 --first-frame of then, and no smaller --max-frames",
-                given.name,
-                given.times_s.len()
-            );
-        }
-        for (i, (then, now)) in self.times_s.iter().zip(&given.times_s).enumerate() {
-            if then.to_bits() != now.to_bits() {
-                bail!(
-                    "recording `{}`: frame {i} is at {now:.6} s; expected {then:.6} s as in `{}`, \
-                     which the session was made from",
-                    given.name,
-                    self.name
-                );
-            }
-        }
-        let ends = [0, done.saturating_sub(1)];
-        for ((then, now), i) in self.pictures.iter().zip(given.pictures).zip(ends) {
-            if *then != now {
-                bail!(
-                    "recording `{}`: frame {i} shows something else than that of `{}`, which the \
-                     session was made from; expected the same pictures",
-                    given.name,
-                    self.name
-                );
-            }
-        }
-        Ok(())
-    }
 }
 
 /// Checks, before the work whose state it is to hold, that a session may be written here: in a new or empty
@@ -174,7 +97,7 @@ pub fn save(folder: &Path, run: &mut Run, recording: &Recording) -> Result<()> {
         tracked: slam.trajectory().len(),
         keyframes: slam.map().keyframes().len(),
         landmarks: slam.map().landmarks().count(),
-        gaussians: slam.gaussians().map_or(0, garad_core::GaussianMap::len),
+        gaussians: slam.gaussians().map_or(0, GaussianMap::len),
         seed: slam.seed(),
         camera: *slam.camera(),
         state: state.to_owned(),

@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use garad::output::{self, Judged};
-use garad::runner;
+use garad::run;
 use garad_dataset::write_bytes_atomically;
 
-use super::run::{InputArgs, Masks, frames};
+use super::input::{InputArgs, Masks, frames};
 use super::{CommonArgs, Part, make_folder, say};
 
 #[derive(Debug, clap::Args)]
@@ -56,7 +56,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         for part in parts {
             part.leave_out(&mut options.config);
         }
-        let result = runner::run(
+        let result = run::run(
             &dataset.calibration().camera,
             frames(&dataset, None, truth.as_ref()),
             dataset.len(),

@@ -5,7 +5,8 @@ use std::sync::mpsc::sync_channel;
 
 use anyhow::Result;
 use garad::output::{self, Judged};
-use garad::runner::{self, SourceFrame};
+use garad::run;
+use garad::source::SourceFrame;
 use garad_core::Par;
 use garad_synth::{Scene, SceneConfig, SceneName};
 
@@ -81,7 +82,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
                 }
             }
         });
-        runner::run(&camera, receiver.into_iter(), scene.len(), &options)
+        run::run(&camera, receiver.into_iter(), scene.len(), &options)
     })?;
     let ground_truth = scene.trajectory();
     let judged = Judged::new(&name, &result, Some(&ground_truth), "exact ground truth");

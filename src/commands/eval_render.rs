@@ -8,7 +8,7 @@ use garad_core::Par;
 use garad_dataset::write_bytes_atomically;
 use garad_eval::{Metrics, RenderMetrics};
 
-use super::run::{InputArgs, Masks, frames};
+use super::input::{InputArgs, Masks, frames};
 use super::{read_poses, say};
 
 #[derive(Debug, clap::Args)]

@@ -5,6 +5,7 @@ pub(crate) mod demo;
 pub(crate) mod eval;
 pub(crate) mod eval_render;
 pub(crate) mod golden;
+pub(crate) mod input;
 pub(crate) mod render;
 pub(crate) mod run;
 pub(crate) mod synth;
@@ -16,7 +17,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
-use garad::runner::RunOptions;
+pub(crate) use garad::output::make_folder;
+use garad::run::RunOptions;
 use garad_core::StampedPose;
 
 /// What `run` and `demo` share.
@@ -111,12 +113,6 @@ pub(crate) fn say(line: &str) -> Result<()> {
         }
         _ => Ok(()),
     }
-}
-
-/// Makes the folder for results, before the work whose results it is to hold.
-pub(crate) fn make_folder(path: &Path) -> Result<()> {
-    std::fs::create_dir_all(path)
-        .with_context(|| format!("{}: cannot make the folder", path.display()))
 }
 
 /// A trajectory with at least one pose.

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::ValueEnum;
-use garad::pictures;
+use garad::images;
 use garad::progress::Progress;
 use garad_core::{Camera, Par, Se3, So3, StampedPose};
 use garad_dataset::{Calibration, Preset};
@@ -108,16 +108,16 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             Par::new(args.threads),
         )?;
         for what in &args.what {
-            let (name, picture) = match what {
-                What::Color => ("color", pictures::color_picture(&rendered)),
-                What::Opacity => ("opacity", pictures::opacity_picture(&rendered)),
+            let (name, image) = match what {
+                What::Color => ("color", images::color_image(&rendered)),
+                What::Opacity => ("opacity", images::opacity_image(&rendered)),
                 What::Depth => {
                     let depth = rendered.normalized_depth();
-                    let range = pictures::depth_range(&depth);
-                    ("depth", pictures::depth_picture(&depth, range))
+                    let range = images::depth_range(&depth);
+                    ("depth", images::depth_image(&depth, range))
                 }
             };
-            pictures::save_png(&args.out.join(format!("{i:06}_{name}.png")), &picture)?;
+            images::save_png(&args.out.join(format!("{i:06}_{name}.png")), &image)?;
         }
         progress.step("");
     }

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use garad::pictures::{png, png_gray, png_gray16};
+use garad::images::{png, png_gray, png_gray16};
 use garad::progress::Progress;
 use garad_core::{DepthImage, Image, Par, StampedPose};
 use garad_dataset::write_bytes_atomically;

@@ -11,7 +11,7 @@ use garad::trace;
 use garad_golden::trace::diff::{Judge, diff};
 use serde_json::json;
 
-use super::run::{InputArgs, Masks, frames};
+use super::input::{InputArgs, Masks, frames};
 use super::{make_folder, say};
 
 /// Exit code when two traces differ.
@@ -107,7 +107,7 @@ fn record(args: &Record) -> Result<()> {
         Some(path) => garad::config_file::read(path)?,
         None => garad_slam::Config::default(),
     };
-    let options = garad::runner::RunOptions {
+    let options = garad::run::RunOptions {
         config,
         threads: args.threads,
         seed: args.seed,

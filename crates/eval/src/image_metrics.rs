@@ -38,7 +38,7 @@ impl_pixel!(u8: |v| f64::from(v) / 255.0, f32: f64::from, f64: |v| v);
 
 /// PSNR and SSIM of one picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PictureQuality {
+pub struct ImageQuality {
     /// Decibels; infinite for equal pictures.
     pub psnr_db: f64,
     /// 1 for equal pictures.
@@ -51,14 +51,14 @@ pub struct PictureQuality {
 ///
 /// # Errors
 /// As [`psnr_db`].
-pub fn compare_pictures<A: Pixel, B: Pixel>(
+pub fn compare_images<A: Pixel, B: Pixel>(
     render: &Image<A>,
     truth: &Image<B>,
     excluded: Option<&MaskImage>,
     par: Par,
-) -> Result<PictureQuality, EvalError> {
+) -> Result<ImageQuality, EvalError> {
     let pixels = check(render, truth, excluded)?;
-    Ok(PictureQuality {
+    Ok(ImageQuality {
         psnr_db: psnr_of_checked(render, truth, excluded, pixels),
         ssim: ssim_of_checked(render, truth, excluded, pixels, par),
         pixels,
@@ -410,7 +410,7 @@ mod tests {
             (12..14, _) => 128,
             _ => 0,
         });
-        let judge = |x: &Image<[f32; 3]>| compare_pictures(x, &y, Some(&mask), Par::Seq);
+        let judge = |x: &Image<[f32; 3]>| compare_images(x, &y, Some(&mask), Par::Seq);
         let before = judge(&x).expect("same size");
         assert_eq!(before.pixels, 600 - 7 * 12 - 2 * 20, "judged pixels");
         let mut hidden = x.clone();
@@ -420,7 +420,7 @@ mod tests {
         let mut seen = x.clone();
         seen[(4, 4)] = [0.5; 3];
         assert_ne!(judge(&seen), Ok(before), "beside it");
-        let nothing = compare_pictures(&x, &y, Some(&Image::new(30, 20, 255)), Par::Seq);
+        let nothing = compare_images(&x, &y, Some(&Image::new(30, 20, 255)), Par::Seq);
         assert_eq!(nothing, Err(no_pixels()), "nothing left");
     }
 

@@ -27,7 +27,7 @@ pub use ate::{Ate, AteOptions, AtePoint, ate};
 pub use depth::{DepthL1, depth_l1};
 pub use error::EvalError;
 pub use ghosts::{GHOST_GAP_M, Ghosts, ghosts};
-pub use image_metrics::{PictureQuality, compare_pictures, psnr_db, ssim, ssim_map};
+pub use image_metrics::{ImageQuality, compare_images, psnr_db, ssim, ssim_map};
 pub use labels::{Confusion, FrameLabels, RunLabels};
 pub use metrics::{DepthMetrics, Metrics, RenderMetrics, StageTiming};
 pub use report::{FrameState, ReportData, Strip};

@@ -10,7 +10,7 @@ mod tables;
 
 use garad_core::RgbImage;
 
-use crate::{Ate, Metrics, PictureQuality};
+use crate::{Ate, ImageQuality, Metrics};
 
 /// What the page shows. Whatever is empty or `None` is left out or said to be unknown.
 #[derive(Debug, Clone, Copy)]
@@ -61,7 +61,7 @@ pub struct Strip<'a> {
     /// Labels, drawn over the input or as a mask.
     pub labels: Option<&'a RgbImage>,
     /// Render against input.
-    pub quality: Option<PictureQuality>,
+    pub quality: Option<ImageQuality>,
 }
 
 /// The page. The same data give the same text.

@@ -99,7 +99,7 @@ fn page(sample: &Sample, judged: bool) -> String {
         input: &sample.picture,
         render: Some(&sample.picture),
         labels: Some(&sample.picture),
-        quality: Some(PictureQuality {
+        quality: Some(ImageQuality {
             psnr_db: 22.84,
             ssim: 0.812,
             pixels: 19_200,
