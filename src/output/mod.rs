@@ -127,7 +127,6 @@ fn report(
         metrics: &judged.metrics,
         protocol: &judged.protocol,
         ate: judged.ate.as_ref(),
-        not_judged: &judged.protocol,
         frames: &frames.collect::<Vec<_>>(),
         strips: &moments.iter().map(Moment::strip).collect::<Vec<_>>(),
         warnings: &warnings.iter().cloned().chain(skipped).collect::<Vec<_>>(),

@@ -200,7 +200,7 @@ fn what_is_not_as_it_was_then_is_named() {
     // The same times, the same camera, another scene.
     bench
         .run_on(&recording("quiet_desk", 12), &options)
-        .fails_with(&["frame 0", "something else", "walking_12"]);
+        .fails_with(&["frame 0", "differs from that of", "walking_12"]);
     assert!(
         !bench.out().join("trajectory.txt").exists(),
         "nothing was run"

@@ -59,7 +59,7 @@ fn svg(
     }
     // The page decides the size; the view box keeps the shape.
     let fixed_size = format!("width=\"{units_x}\" height=\"{units_y}\"");
-    let label = crate::report::escape(label);
+    let label = maud::html! { (label) }.into_string();
     let flexible = format!("class=\"plot\" role=\"img\" aria-label=\"{label}\" width=\"{width}\"");
     Ok(text.replacen(&fixed_size, &flexible, 1))
 }
