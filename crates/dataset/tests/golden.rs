@@ -108,7 +108,7 @@ fn bonn() {
 fn ply() {
     for case in Case::load_all("ply") {
         let file = case.input("file").u8();
-        let map = parse_ply(Path::new("case.ply"), &mut &file[..], file.len() as u64)
+        let map = parse_ply(Path::new("case.ply"), &mut &file[..])
             .expect("an ordinary file");
         check(&case, "means", &floats(map.means.iter().copied().flatten()));
         check(&case, "sh", &floats(map.sh.iter().copied().flatten()));

@@ -82,7 +82,7 @@ pub(super) fn bonn(fields: Fields<'_>) -> Result<Outputs, OwnError> {
 
 pub(super) fn ply(fields: Fields<'_>) -> Result<Outputs, OwnError> {
     let file = fields.bytes("file")?;
-    let map = parse_ply(Path::new("case.ply"), &mut &file[..], file.len() as u64);
+    let map = parse_ply(Path::new("case.ply"), &mut &file[..]);
     let map = map.map_err(|error| fields.wrong(error))?;
     let mut out = Outputs::default();
     out.put("means", map.means.as_flattened().iter().copied());
