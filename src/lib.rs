@@ -1,8 +1,8 @@
 //! `garad`: a CPU-only reference implementation of GARAD-SLAM.
 //!
-//! RGB-D frames go in; out come the camera's path, a map of Gaussians, and for every feature
-//! whether it moves. This crate is the facade: it re-exports the stages under one roof and holds
-//! [`mod@run`], which takes a recording through them, and [`output`], which writes the results.
+//! Input are RGB-D frames; output are the trajectory of the camera, a map of Gaussians, and for every
+//! feature whether it moves. This crate is the facade: it re-exports the stages and adds [`mod@run`],
+//! which takes a recording through them, and [`output`], which writes the results.
 //!
 //! Reading order for the method itself: [`core`] → [`features`] → [`optim`] → [`crf`] → [`raster`]
 //! → [`slam`]; `ARCHITECTURE.md` has the map.

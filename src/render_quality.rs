@@ -1,4 +1,4 @@
-//! PSNR, SSIM and depth error of the map: every frame against the render from its pose.
+//! Image quality of the map: every frame against the render from its estimated pose.
 
 use anyhow::Result;
 use garad_core::undistort::Undistortion;
@@ -18,11 +18,11 @@ pub struct RenderQuality {
     pub outside_mask: RenderMetrics,
     /// Rendered depth against measured depth, outside the mask.
     pub depth: DepthMetrics,
-    /// Frames judged.
+    /// Frames evaluated.
     pub frames: usize,
 }
 
-/// PSNR and SSIM of every frame that has a pose, static Gaussians only, means over frames.
+/// PSNR, SSIM and depth error of the static Gaussians, means over the frames that have a pose.
 ///
 /// Images of a distorted camera are undistorted first (bilinear); pixels outside the distorted image do not
 /// count. Frames that cannot be read are left out, like frames without a pose.
@@ -105,8 +105,8 @@ fn straightened(straight: &Undistortion, rgb: &RgbImage, par: Par) -> RgbImage {
     straight.color(rgb, par).map(|c| c.map(to_u8))
 }
 
-/// Pixels around within which the nearest measured depth counts as the background: a splat at an
-/// edge reaches a few pixels over it, and colour and depth are a few pixels off each other.
+/// Radius in which the nearest measured depth counts as the background: a splat at an edge extends a few
+/// pixels over it, and colour and depth are misaligned by a few pixels.
 const EDGE_PX: usize = 6;
 
 /// The smallest measured depth in the square of [`EDGE_PX`] around each pixel that has a depth.
@@ -184,7 +184,7 @@ mod tests {
     use garad_core::Se3;
 
     #[test]
-    fn an_edge_is_no_ghost() {
+    fn edges_are_not_ghosts() {
         let mut depth = DepthImage::new(20, 3, 4.0);
         depth[(2, 1)] = 1.0;
         depth[(15, 1)] = 0.0;

@@ -1,13 +1,12 @@
-//! A session on disk: a folder that holds the state of a run and a page about it (decision 008).
+//! A session on disk: a folder with the state of a run and a header (decision 008).
 //!
 //! | file | what |
 //! |---|---|
-//! | `session.json` | which program, which recording, how far, what is in the map, and which file holds the state |
+//! | `session.json` | header: program, recording, progress, size of the map, name of the file with the state |
 //! | `state-a.bin` or `state-b.bin` | the state: of the system, then of the run |
 //!
-//! A new state is written beside the old one; then `session.json` is replaced, in one step, and names the
-//! new; then the old one goes. At every moment there is a whole session in the folder, once there has
-//! been one.
+//! A new state is written beside the old one; then `session.json` is replaced atomically and names the new
+//! one; then the old one is removed. After the first save the folder holds a complete session at any time.
 
 use std::fs::{self, File};
 use std::io::{self, BufReader, ErrorKind};
@@ -22,13 +21,13 @@ use serde::{Deserialize, Serialize};
 use crate::recording::Recording;
 use crate::run::Run;
 
-/// The page.
+/// File name of the header.
 const HEADER: &str = "session.json";
-/// The two names of a state; `session.json` says which is meant.
+/// The two names of a state; `session.json` says which is valid.
 const STATES: [&str; 2] = ["state-a.bin", "state-b.bin"];
 
-/// What `session.json` says. Only `state` is read again; what counts is in the state, under its
-/// checksums.
+/// Content of `session.json`. Only `format`, `program` and `state` are read again; all else is in the
+/// state, under its checksums.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Header {
     /// Number of the format.
@@ -37,9 +36,9 @@ pub struct Header {
     pub program: String,
     /// Name of the recording.
     pub recording: String,
-    /// Frames of it that are done, those left out included.
+    /// Frames of it that are done, skipped ones included.
     pub frames_done: usize,
-    /// Of these with a pose.
+    /// Frames with a pose.
     pub tracked: usize,
     /// Keyframes of the map.
     pub keyframes: usize,
@@ -55,11 +54,11 @@ pub struct Header {
     pub state: String,
 }
 
-/// Checks, before the work whose state it is to hold, that a session may be written here: in a new or empty
-/// folder, or over an older session.
+/// Checks, before the run, that a session may be written here: in a new or empty folder, or over an older
+/// session.
 ///
 /// # Errors
-/// A folder that holds something else, or cannot be made.
+/// A folder that holds other files, or cannot be made.
 pub fn prepare(folder: &Path) -> Result<()> {
     fs::create_dir_all(folder)
         .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
@@ -77,7 +76,7 @@ pub fn prepare(folder: &Path) -> Result<()> {
 /// Writes the state of a run, in place of an older one.
 ///
 /// # Errors
-/// What cannot be written; the older session, if there is one, is then as it was.
+/// A failed write; an older session is then unchanged.
 pub fn save(folder: &Path, run: &mut Run, recording: &Recording) -> Result<()> {
     prepare(folder)?;
     let older = header(folder).ok().map(|header| header.state);
@@ -107,7 +106,7 @@ pub fn save(folder: &Path, run: &mut Run, recording: &Recording) -> Result<()> {
     for name in STATES.into_iter().filter(|name| *name != state) {
         match fs::remove_file(folder.join(name)) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
-                // It takes room and does no harm: the next save writes over it.
+                // It only takes space: the next save overwrites it.
                 tracing::warn!(
                     "{}: cannot be removed: {error}",
                     folder.join(name).display()
@@ -119,10 +118,10 @@ pub fn save(folder: &Path, run: &mut Run, recording: &Recording) -> Result<()> {
     Ok(())
 }
 
-/// Opens the state of a session. The path names it in messages.
+/// Opens the state of a session. The path is for messages.
 ///
 /// # Errors
-/// No session here, one of another version, or a file that cannot be read.
+/// No session in the folder, one of another version, or a file that cannot be read.
 pub fn open(folder: &Path) -> Result<(BufReader<File>, PathBuf)> {
     let header = header(folder)?;
     if (header.format, header.program.as_str()) != (FORMAT, PROGRAM) {
@@ -148,10 +147,10 @@ pub fn open(folder: &Path) -> Result<(BufReader<File>, PathBuf)> {
     Ok((BufReader::with_capacity(1 << 20, file), path))
 }
 
-/// The page about a session.
+/// Reads the header of a session.
 ///
 /// # Errors
-/// None here, or one that cannot be read.
+/// No session in the folder, or a header that cannot be read.
 pub fn header(folder: &Path) -> Result<Header> {
     let path = folder.join(HEADER);
     let text = fs::read_to_string(&path).with_context(|| {
@@ -161,5 +160,5 @@ pub fn header(folder: &Path) -> Result<Header> {
         )
     })?;
     serde_json::from_str(&text)
-        .with_context(|| format!("{}: expected the page about a session", path.display()))
+        .with_context(|| format!("{}: expected the header of a session", path.display()))
 }

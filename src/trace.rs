@@ -1,4 +1,4 @@
-//! [`record`] and [`write()`]: the inputs and outputs of every stage of some frames, on disk.
+//! [`record`] and [`write()`]: inputs and outputs of every stage of some frames, on disk.
 
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -66,7 +66,7 @@ fn tensor(record: &TraceRecord) -> Option<Tensor> {
     Tensor::from_bytes(dtype, record.shape.clone(), bytes)
 }
 
-/// Writes the records into a folder, as `garad_golden::trace` describes. `about` says what was run.
+/// Writes the records into a folder, as `garad_golden::trace` describes. `about` describes the run.
 ///
 /// # Errors
 /// A file that cannot be written.
@@ -106,7 +106,7 @@ pub fn write(folder: &Path, records: &[TraceRecord], about: Value) -> Result<()>
         .with_context(|| format!("{}: cannot write", path.display()))
 }
 
-/// One line per tensor: to be read, and to be compared line by line.
+/// The index with one line per tensor, so that it can be compared line by line.
 fn text(index: &Index) -> Result<String> {
     let lines: Vec<String> = index
         .tensors

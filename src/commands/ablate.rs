@@ -1,4 +1,4 @@
-//! `garad ablate`: what each part earns, as the paper's Table III.
+//! `garad ablate`: results with and without each part, as the paper's Table III.
 
 use std::path::PathBuf;
 
@@ -20,7 +20,7 @@ pub(crate) struct Args {
     input: InputArgs,
 }
 
-/// What is run: the whole, and the whole without each part.
+/// The complete system, and the system without each part.
 const VARIANTS: [(&str, &[Part]); 5] = [
     ("full", &[]),
     ("without flow", &[Part::Flow]),
@@ -34,7 +34,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let dataset = args.input.open(&args.dataset)?;
     let Some(ground_truth) = dataset.ground_truth() else {
         bail!(
-            "{}: no ground truth; expected groundtruth.txt to judge by",
+            "{}: no ground truth; expected groundtruth.txt",
             args.dataset.display()
         );
     };

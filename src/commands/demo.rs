@@ -1,4 +1,4 @@
-//! `garad demo`: a small dynamic sequence made, run, judged and drawn. Nothing to download.
+//! `garad demo`: a small dynamic sequence, generated, run, evaluated and drawn.
 
 use std::path::PathBuf;
 use std::sync::mpsc::sync_channel;
@@ -22,14 +22,14 @@ pub(crate) struct Args {
     /// Frames of the sequence.
     #[arg(long, default_value_t = 75)]
     frames: usize,
-    /// Take the scene's own masks instead of finding out what moves.
+    /// Use the true masks of the scene instead of computed labels.
     #[arg(long)]
     oracle_labels: bool,
 }
 
-/// Training iterations unless the command line or a configuration says otherwise.
+/// Training iterations, unless the command line or a configuration sets them.
 const REFINE: usize = 120;
-/// Frames made ahead of tracking.
+/// Frames generated ahead of tracking.
 const AHEAD: usize = 2;
 
 pub(crate) fn run(args: &Args) -> Result<()> {
@@ -52,9 +52,9 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     make_folder(&out)?;
     if !args.common.quiet {
         let labels = if args.oracle_labels {
-            "the scene's own labels"
+            "true labels of the scene"
         } else if options.config.labels.enabled {
-            "labels found on the way"
+            "computed labels"
         } else {
             "no labels"
         };

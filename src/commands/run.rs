@@ -1,4 +1,4 @@
-//! `garad run`: a recording tracked, mapped and judged.
+//! `garad run`: a recording tracked, mapped and evaluated.
 
 use std::path::PathBuf;
 
@@ -23,23 +23,23 @@ pub(crate) struct Args {
     common: CommonArgs,
     #[command(flatten)]
     input: InputArgs,
-    /// True masks (255 moving) named by colour time stamp, taken instead of finding out what moves; a
-    /// folder that does not exist here is looked for inside the recording.
+    /// Folder of true masks (255 moving), named by colour time stamp, used instead of computed labels; one
+    /// that does not exist is looked for inside the recording.
     #[arg(long, value_name = "DIR")]
     oracle_labels: Option<PathBuf>,
-    /// Which ground truth to judge by. BONN records a marker on the camera; published figures
+    /// Ground truth to compare with. BONN records the poses of a marker on the camera; published figures
     /// are against those raw poses.
     #[arg(long, value_enum, default_value_t = GroundTruth::Raw)]
     ground_truth: GroundTruth,
-    /// Put the whole state aside after the last frame, or after `--max-frames`, to go on from there.
+    /// Save the complete state after the last frame, or after `--max-frames`, to be resumed.
     #[arg(long, value_name = "DIR")]
     save_session: Option<PathBuf>,
-    /// Go on with the frame after the last one of a session; the results are those of a run without
-    /// a break. Everything else must be given as it was then.
+    /// Resume a saved session after its last frame; the results are those of an uninterrupted run. All
+    /// other options must be the same.
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
-    /// Only track, in the finished map of a session, which stays as it is. The configuration is the
-    /// session's; `frames.csv` says which frames were tracked.
+    /// Only track, in the finished map of a session, which is not changed. The configuration is the
+    /// session's; `frames.csv` lists which frames were tracked.
     #[arg(long, value_name = "DIR", conflicts_with_all = [
         "resume", "save_session", "config", "without", "refine", "seed", "oracle_labels",
     ])]
@@ -50,11 +50,11 @@ pub(crate) struct Args {
 enum GroundTruth {
     /// As recorded.
     Raw,
-    /// BONN only: moved from the marker to the camera.
+    /// BONN only: transformed from the marker to the camera.
     Camera,
 }
 
-/// Skipped frames named on the terminal.
+/// Skipped frames listed on the terminal.
 const SKIPPED_SHOWN: usize = 5;
 
 pub(crate) fn run(args: &Args) -> Result<()> {
@@ -101,7 +101,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     if run.done() > 0 && !run_options.quiet {
         say(&format!("resumed after {} frames", run.done()))?;
     }
-    // What has come into the room since then is not asked for, so it is not judged.
+    // Localisation does not label, so there is nothing to judge.
     let judged_by = truth.as_ref().filter(|_| args.localise.is_none());
     let input = frames_from(run.done(), &dataset, oracle.as_ref(), judged_by);
     run.process(input, dataset.len());
@@ -157,7 +157,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     Ok(())
 }
 
-/// A run from the start, from a session, or in the map of one.
+/// A new run, one resumed from a session, or localisation in its map.
 fn begin(
     args: &Args,
     dataset: &Dataset,
@@ -183,7 +183,7 @@ fn begin(
     Ok(run)
 }
 
-/// The first few frames left out, and how many more; the report names them all.
+/// The first few skipped frames, and the number of the others; the report lists all.
 fn warn_of_skipped(skipped: &[String]) {
     for why in skipped.iter().take(SKIPPED_SHOWN) {
         note(&format!("warning: frame skipped: {why}"));
@@ -191,7 +191,7 @@ fn warn_of_skipped(skipped: &[String]) {
     if skipped.len() > SKIPPED_SHOWN {
         let more = skipped.len() - SKIPPED_SHOWN;
         note(&format!(
-            "warning: {more} more skipped; report.html names them all"
+            "warning: {more} more skipped; report.html lists them all"
         ));
     }
 }
