@@ -7,10 +7,10 @@ use std::path::Path;
 use crate::errors::DatasetError;
 use crate::limits;
 
-/// The bytes of a regular file of at most [`limits::FILE_BYTES`]; `None` if there is none.
+/// The bytes of a regular file of at most [`limits::FILE_BYTES`]; `None` if it does not exist.
 ///
-/// Links are followed: a folder on disk is the user's own, and recordings are often linked from
-/// another disk. Devices and pipes are not opened.
+/// Links are followed: a folder on disk is trusted, and recordings are often linked from another disk.
+/// Devices and pipes are not opened.
 pub(crate) fn read_file(path: &Path) -> Result<Option<Vec<u8>>, DatasetError> {
     match fs::metadata(path) {
         Ok(meta) if meta.is_file() => check_file_size(meta.len(), path)?,
@@ -33,7 +33,7 @@ pub(crate) fn read_at_most(reader: impl Read, path: &Path) -> Result<Vec<u8>, Da
     Ok(bytes)
 }
 
-/// [`limits::FILE_BYTES`] as an error.
+/// [`DatasetError::TooLarge`] above [`limits::FILE_BYTES`].
 pub(crate) fn check_file_size(bytes: u64, path: &Path) -> Result<(), DatasetError> {
     if bytes > limits::FILE_BYTES {
         return Err(DatasetError::TooLarge {
@@ -46,8 +46,8 @@ pub(crate) fn check_file_size(bytes: u64, path: &Path) -> Result<(), DatasetErro
     Ok(())
 }
 
-/// The relative path `name` without empty and `.` parts; `None` if it climbs out, is absolute,
-/// empty, or uses signs that mean something else on another system (`\`, `:`, controls).
+/// The relative path `name` without empty and `.` parts; `None` if it contains `..`, is absolute, empty,
+/// or contains characters that are special on another system (`\`, `:`, controls).
 pub(crate) fn clean_name(name: &str) -> Option<String> {
     let odd = |c: char| c == '\\' || c == ':' || c.is_control();
     if name.starts_with('/') || name.contains(odd) {
@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_stay_inside() {
+    fn unsafe_names_are_refused() {
         assert_eq!(clean_name("./rgb//1.png").as_deref(), Some("rgb/1.png"));
         assert_eq!(
             clean_name("a..b/...").as_deref(),

@@ -8,7 +8,7 @@ use crate::archive::Archive;
 use crate::errors::DatasetError;
 use crate::files::read_file;
 
-/// Where the files come from. Names are relative to the place of `rgb.txt`.
+/// Where the files come from. Names are relative to the folder of `rgb.txt`.
 #[derive(Debug)]
 pub(crate) enum Source {
     Folder(PathBuf),
@@ -18,7 +18,7 @@ pub(crate) enum Source {
 impl Source {
     /// # Errors
     /// [`DatasetError::NotFound`], [`DatasetError::NotARecording`] without `rgb.txt` and
-    /// `depth.txt`, and what [`Archive::open`] finds.
+    /// `depth.txt`, and the errors of [`Archive::open`].
     pub(crate) fn open(path: &Path) -> Result<Self, DatasetError> {
         let meta = fs::metadata(path).map_err(|source| match source.kind() {
             ErrorKind::NotFound => DatasetError::NotFound {
@@ -56,7 +56,7 @@ impl Source {
         }
     }
 
-    /// How a file is called in messages.
+    /// The path of a file, for messages.
     pub(crate) fn locate(&self, name: &str) -> PathBuf {
         match self {
             Self::Folder(path) => path.join(name),
@@ -64,7 +64,7 @@ impl Source {
         }
     }
 
-    /// The bytes of a file; `None` if there is none of that name.
+    /// The bytes of a file; `None` if it does not exist.
     ///
     /// # Errors
     /// [`DatasetError::TooLarge`], [`DatasetError::Io`], [`DatasetError::Archive`].

@@ -108,8 +108,7 @@ fn bonn() {
 fn ply() {
     for case in Case::load_all("ply") {
         let file = case.input("file").u8();
-        let map = parse_ply(Path::new("case.ply"), &mut &file[..])
-            .expect("an ordinary file");
+        let map = parse_ply(Path::new("case.ply"), &mut &file[..]).expect("an ordinary file");
         check(&case, "means", &floats(map.means.iter().copied().flatten()));
         check(&case, "sh", &floats(map.sh.iter().copied().flatten()));
         check(&case, "opacity_logits", &floats(map.opacity_logits.clone()));

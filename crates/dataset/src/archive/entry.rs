@@ -50,7 +50,7 @@ pub(super) fn entry_name(path: &Path, raw: &[u8]) -> Result<String, DatasetError
         })
 }
 
-/// Could a recording refer to it?
+/// Whether a recording can refer to a file of this name.
 pub(super) fn is_wanted(name: &str) -> bool {
     let ending = name.rsplit('.').next().unwrap_or_default();
     ["txt", "toml", "png", "jpg", "jpeg"]

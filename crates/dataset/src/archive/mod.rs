@@ -1,14 +1,15 @@
 //! [`Archive`]: a recording inside a .tgz, .tar.gz, .tar or .zip, read in place.
 //!
-//! Nothing is ever unpacked to disk. What kind of archive it is says its content, not its name.
+//! Nothing is unpacked to disk. The kind of archive is recognised by its content, not its name.
 //!
-//! - **.zip**, **.tar**: an index is made; each file is read from the archive when asked for.
+//! - **.zip**, **.tar**: an index is made; each file is read from the archive on demand.
 //! - **.tgz**: gzip has no random access, so the lists and the (still compressed) images are
 //!   kept in memory, about the size of the archive itself.
 //!
-//! Names that climb out (`..`, absolute), links and devices are refused, and so is an archive
-//! that unpacks to more than [`ARCHIVE_BYTES`](crate::limits::ARCHIVE_BYTES) or grows like a bomb. Entries that a
-//! recording cannot refer to (no list, no image) are passed over.
+//! Names that lead outside (`..`, absolute), links and devices are refused, and so is an archive that
+//! unpacks to more than [`ARCHIVE_BYTES`](crate::limits::ARCHIVE_BYTES) or by more than
+//! [`ARCHIVE_RATIO`](crate::limits::ARCHIVE_RATIO). Entries that a recording cannot refer to (neither list
+//! nor image) are skipped.
 
 mod entry;
 mod tar_stream;
@@ -92,12 +93,12 @@ impl Archive {
         stem.unwrap_or(&file).to_owned()
     }
 
-    /// How a file is called in messages.
+    /// The path of a file, for messages.
     pub(crate) fn locate(&self, name: &str) -> PathBuf {
         self.path.join(format!("{}{name}", self.root))
     }
 
-    /// Whether a file lies in a folder of this name, or deeper.
+    /// Whether there is a file in a folder of this name, or below it.
     pub(crate) fn has_folder(&self, name: &str) -> bool {
         let start = format!("{}{name}/", self.root);
         let mut from_there = self.files.range(start.clone()..);
@@ -106,7 +107,7 @@ impl Archive {
             .is_some_and(|(file, _)| file.starts_with(&start))
     }
 
-    /// The bytes of a file; `None` if there is none of that name.
+    /// The bytes of a file; `None` if it does not exist.
     pub(crate) fn read(&self, name: &str) -> Result<Option<Vec<u8>>, DatasetError> {
         match self.files.get(&format!("{}{name}", self.root)) {
             None => Ok(None),
@@ -118,10 +119,11 @@ impl Archive {
                 read_at_most(file.take(bytes), &self.locate(name)).map(Some)
             }
             Some(&Stored::Zip { index }) => {
-                let Some(zip) = &self.zip else {
-                    return Ok(None);
-                };
-                // A panic while reading leaves nothing half-written: the next read seeks anew.
+                let zip = self
+                    .zip
+                    .as_ref()
+                    .expect("zip entries come from a zip archive");
+                // A panic while reading leaves a valid archive: the next read seeks anew.
                 let mut zip = zip.lock().unwrap_or_else(PoisonError::into_inner);
                 let entry = zip.by_index(index).map_err(|e| broken(&self.path, e))?;
                 let packed = entry.compressed_size();
@@ -133,7 +135,7 @@ impl Archive {
     }
 }
 
-/// The folder with both lists; the one nearest the top counts.
+/// The folder with both lists, nearest to the top.
 fn find_root(path: &Path, files: &BTreeMap<String, Stored>) -> Result<String, DatasetError> {
     let not_a_recording = |found: String| DatasetError::NotARecording {
         path: path.to_path_buf(),

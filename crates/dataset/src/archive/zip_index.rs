@@ -12,7 +12,7 @@ use crate::errors::DatasetError;
 use crate::files::check_file_size;
 use crate::limits;
 
-/// Finds the files of a zip; each is unpacked when it is read.
+/// Finds the files of a zip; they are read from it on demand.
 pub(super) fn index_zip(
     path: &Path,
     archive: &ZipArchive<BufReader<File>>,

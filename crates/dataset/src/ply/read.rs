@@ -247,7 +247,7 @@ impl Columns {
         })
     }
 
-    /// Appends the Gaussian of one vertex, or says what was found and expected.
+    /// Appends the Gaussian of one vertex, or returns what was found and expected.
     fn push(
         &self,
         values: &[f64],

@@ -1,8 +1,5 @@
 //! Tests of reading and writing maps.
-#![allow(
-    clippy::float_cmp,
-    reason = "what is written is read back, bit for bit"
-)]
+#![allow(clippy::float_cmp, reason = "maps are read back bit by bit")]
 
 use std::path::Path;
 
@@ -11,7 +8,7 @@ use garad_core::{GaussianMap, KeyframeId, Label, NewGaussian, Rng};
 use super::*;
 use crate::DatasetError;
 
-/// A map whose every number is different.
+/// A map whose numbers are all different.
 fn some_map(n: usize, degree: usize) -> GaussianMap<f32> {
     let mut rng = Rng::keyed(3, &[n as u64, degree as u64]);
     let mut map = GaussianMap::<f64>::new(degree);
@@ -49,7 +46,7 @@ fn parse(bytes: &[u8]) -> Result<GaussianMap<f32>, DatasetError> {
 }
 
 #[test]
-fn what_is_written_is_read() {
+fn round_trip() {
     for degree in 0..=3 {
         for label in [false, true] {
             let map = some_map(5, degree);
@@ -219,7 +216,7 @@ fn foreign(n: usize, degree: usize) -> (String, Vec<u8>) {
 }
 
 #[test]
-fn files_of_others_are_read_by_name() {
+fn foreign_files_are_read_by_property_name() {
     for degree in 0..=3 {
         let (header, body) = foreign(2, degree);
         let map = parse(&[header.as_bytes(), &body].concat()).expect("ordinary");
@@ -354,7 +351,7 @@ fn hostile_headers_are_refused() {
 }
 
 #[test]
-fn bad_vertices_are_named() {
+fn bad_vertices_are_reported() {
     let (header, body) = foreign(2, 0);
     let stride = body.len() / 2;
     let with = |column: usize, value: f32| {
@@ -380,9 +377,9 @@ fn bad_vertices_are_named() {
     );
 }
 
-/// Seeded damage to good files: an answer or an error, never a panic.
+/// A damaged file gives a map or an error, never a panic.
 #[test]
-fn damaged_files_do_no_harm() {
+fn damaged_files_do_not_panic() {
     let (header, body) = foreign(3, 1);
     let good = [
         to_bytes(&some_map(3, 2), true),
