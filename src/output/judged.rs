@@ -37,7 +37,7 @@ impl Judged {
         let dynamic = gaussians.label.iter().filter(|l| **l == Label::Dynamic);
         metrics.map.gaussians = Some(gaussians.len());
         metrics.map.dynamic = Some(dynamic.count());
-        metrics.labels = result.log.labels.judged.metrics();
+        metrics.labels = (&result.log.labels.judged).into();
         let options = AteOptions::default();
         let (ate, protocol) = match ground_truth {
             None => (None, "cannot be judged: no ground truth".to_owned()),
