@@ -31,3 +31,4 @@ pub mod session;
 pub mod source;
 pub mod stopwatch;
 pub mod trace;
+pub mod usage;

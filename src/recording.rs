@@ -51,8 +51,8 @@ impl Recording {
         }
         if given.times_s.len() < done {
             bail!(
-                "recording `{}`: {} frames are to be run, but {done} are already done; expected the \
-                 --first-frame of then, and no smaller --max-frames",
+                "recording `{}`: {} frames are to be run, but {done} are already done; expected the same \
+                 --first-frame, and no smaller --max-frames",
                 given.name,
                 given.times_s.len()
             );

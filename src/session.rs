@@ -126,8 +126,7 @@ pub fn open(folder: &Path) -> Result<(BufReader<File>, PathBuf)> {
     let header = header(folder)?;
     if (header.format, header.program.as_str()) != (FORMAT, PROGRAM) {
         bail!(
-            "{}: saved by garad {} in format {}; expected garad {PROGRAM} and format {FORMAT}, which \
-             are running",
+            "{}: saved by garad {} in format {}; expected garad {PROGRAM} and format {FORMAT}",
             folder.join(HEADER).display(),
             header.program,
             header.format

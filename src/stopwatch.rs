@@ -1,4 +1,4 @@
-//! [`Stopwatch`]: how long each stage took; memory and processor time of the process.
+//! [`Stopwatch`]: how long each stage took.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -67,50 +67,6 @@ impl Observer for Stopwatch {
     }
 }
 
-/// Time and memory of one frame.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct FrameCost {
-    /// Position in the recording.
-    pub frame: u32,
-    /// Tracking, without the wait, milliseconds.
-    pub tracking_ms: f64,
-    /// Waiting for the mapper, milliseconds.
-    pub waiting_ms: f64,
-    /// Memory in use after it, MiB; `None` where the system does not report it.
-    pub resident_mb: Option<f64>,
-    /// Processor time of all threads from the start of the program to its end, milliseconds; `None` where
-    /// the system does not report it.
-    pub processor_ms: Option<f64>,
-}
-
-/// A line of `/proc/self/status` that counts memory, such as `VmRSS:` or `VmHWM:`, MiB. `None` on
-/// systems that have no such file.
-#[must_use]
-pub fn memory_mb(line: &str) -> Option<f64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|l| l.starts_with(line))?;
-    let kib: f64 = line.split_whitespace().nth(1)?.parse().ok()?;
-    Some(kib / 1024.0)
-}
-
-/// Processor time of all threads so far, milliseconds, in steps of 10. `None` on systems that have no
-/// `/proc/self/stat`.
-#[must_use]
-pub fn processor_ms() -> Option<f64> {
-    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-    processor_ms_of(&stat)
-}
-
-/// Of the fields behind the program's name in parentheses, the 12th and the 13th: time in its own code and
-/// in the system's, in hundredths of a second (`man 5 proc`).
-fn processor_ms_of(stat: &str) -> Option<f64> {
-    let (_, fields) = stat.rsplit_once(')')?;
-    let mut fields = fields.split_whitespace().skip(11);
-    let own: f64 = fields.next()?.parse().ok()?;
-    let system: f64 = fields.next()?.parse().ok()?;
-    Some(10.0 * (own + system))
-}
-
 /// A stopwatch shared by two threads.
 #[derive(Debug, Clone, Default)]
 pub struct SharedStopwatch(Arc<Mutex<Stopwatch>>);
@@ -134,18 +90,5 @@ impl Observer for SharedStopwatch {
 
     fn end(&mut self, stage: Stage) {
         self.lock().end(stage);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::processor_ms_of;
-
-    #[test]
-    fn processor_time_is_own_and_system_time() {
-        // A name may hold spaces and parentheses.
-        let stat = "7 (a ) b) S 1 7 7 0 -1 4 10 0 0 0 123 45 6 7 20 0 3 0";
-        assert_eq!(processor_ms_of(stat), Some(1680.0), "(123 + 45) / 100 s");
-        assert_eq!(processor_ms_of("7 (a) S 1 7"), None, "cut off");
     }
 }

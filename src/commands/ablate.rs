@@ -39,12 +39,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         );
     };
     let truth = Masks::of_recording(&dataset);
-    let out = args
-        .common
-        .out
-        .clone()
-        .unwrap_or_else(|| PathBuf::from("out").join(format!("ablate_{}", dataset.name())));
-    make_folder(&out)?;
+    let out = (args.common).out_folder(&format!("ablate_{}", dataset.name()))?;
 
     let mut table = vec![
         "| variant | ATE RMSE [m] | STD [m] | tracked | keypoint F1 | mask IoU |".to_owned(),

@@ -1,6 +1,5 @@
 //! `garad demo`: a small dynamic sequence, generated, run, evaluated and drawn.
 
-use std::path::PathBuf;
 use std::sync::mpsc::sync_channel;
 
 use anyhow::Result;
@@ -10,7 +9,7 @@ use garad::source::SourceFrame;
 use garad_core::Par;
 use garad_synth::{Scene, SceneConfig, SceneName};
 
-use super::{CommonArgs, make_folder, say};
+use super::{CommonArgs, say};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -44,12 +43,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         ..SceneConfig::new(args.scene)
     })?;
     let name = format!("demo_{}", args.scene);
-    let out = args
-        .common
-        .out
-        .clone()
-        .unwrap_or_else(|| PathBuf::from("out").join(&name));
-    make_folder(&out)?;
+    let out = args.common.out_folder(&name)?;
     if !args.common.quiet {
         let labels = if args.oracle_labels {
             "true labels of the scene"

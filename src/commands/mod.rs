@@ -83,6 +83,14 @@ fn threads() -> RangedU64ValueParser<usize> {
 }
 
 impl CommonArgs {
+    /// The folder for results, `out/NAME` unless given, made before the work.
+    pub(crate) fn out_folder(&self, name: &str) -> Result<PathBuf> {
+        let default = || PathBuf::from("out").join(name);
+        let out = self.out.clone().unwrap_or_else(default);
+        make_folder(&out)?;
+        Ok(out)
+    }
+
     /// Options of the run.
     pub(crate) fn run_options(&self, strict: bool) -> Result<RunOptions> {
         let mut config = match &self.config {

@@ -13,7 +13,7 @@ use garad_core::Par;
 use garad_dataset::{Dataset, Preset, bonn_camera_from_marker};
 
 use super::input::{InputArgs, Masks, frames, frames_from, recording, times};
-use super::{CommonArgs, make_folder, say};
+use super::{CommonArgs, say};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -88,12 +88,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         GroundTruth::Camera => bonn_camera_from_marker(raw),
     });
 
-    let out = args
-        .common
-        .out
-        .clone()
-        .unwrap_or_else(|| PathBuf::from("out").join(dataset.name()));
-    make_folder(&out)?;
+    let out = args.common.out_folder(dataset.name())?;
     if let Some(folder) = &args.save_session {
         session::prepare(folder)?;
     }

@@ -4,7 +4,7 @@ use garad_core::{Label, StampedPose};
 use garad_eval::{Ate, AteOptions, Metrics, RpeOptions, ate, rpe};
 
 use crate::run::RunResult;
-use crate::stopwatch::memory_mb;
+use crate::usage::peak_resident_mb;
 
 /// The figures of a run.
 #[derive(Debug)]
@@ -32,7 +32,7 @@ impl Judged {
         metrics.threads = result.threads;
         metrics.timing = result.log.stopwatch.summary();
         metrics.wall_s = Some(result.wall_s);
-        metrics.peak_rss_mb = memory_mb("VmHWM:");
+        metrics.peak_rss_mb = peak_resident_mb();
         let gaussians = result.gaussians();
         let dynamic = gaussians.label.iter().filter(|l| **l == Label::Dynamic);
         metrics.map.gaussians = Some(gaussians.len());

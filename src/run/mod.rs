@@ -17,7 +17,8 @@ use self::snapshot::Snapshot;
 use crate::progress::Progress;
 use crate::recording::Recording;
 use crate::source::SourceFrame;
-use crate::stopwatch::{FrameCost, SharedStopwatch, Stopwatch, memory_mb, processor_ms};
+use crate::stopwatch::{SharedStopwatch, Stopwatch};
+use crate::usage::{FrameCost, processor_ms, resident_mb};
 
 /// How a recording is run.
 #[derive(Debug, Clone)]
@@ -356,7 +357,7 @@ impl RunLog {
             frame: report.id.0,
             tracking_ms: tracked.as_secs_f64() * 1e3,
             waiting_ms: waited.as_secs_f64() * 1e3,
-            resident_mb: memory_mb("VmRSS:"),
+            resident_mb: resident_mb(),
             processor_ms: processor_ms(),
         });
         Ok(report)

@@ -1,10 +1,10 @@
-//! Files that call themselves maps.
+//! Invalid maps.
 
 use std::fs;
 
 use crate::rendering::{mapped, render};
 
-/// Headers that promise what the file does not hold, and numbers that are none.
+/// Headers that do not match the file, and numbers that are not finite.
 #[test]
 fn hostile_maps_are_refused() {
     let bench = mapped();
@@ -72,9 +72,9 @@ fn hostile_maps_are_refused() {
     let map = bench.path("hostile.ply");
     for (bytes, words) in cases {
         fs::write(&map, &bytes).expect("written");
-        let answer = render(&map, &bench.path("pictures"), &["--pose", "0 0 0 0 0 0 1"]);
+        let answer = render(&map, &bench.path("images"), &["--pose", "0 0 0 0 0 0 1"]);
         let answer = answer.fails_at_last_with(&["hostile.ply: "]);
         answer.fails_with(words);
     }
-    assert!(!bench.path("pictures").exists(), "nothing was drawn");
+    assert!(!bench.path("images").exists(), "nothing was drawn");
 }
