@@ -51,6 +51,9 @@ impl PackedLabels {
     }
 
     /// The mask: 255 on moving objects, one value per 4 x 4 pixels.
+    ///
+    /// # Panics
+    /// Never: the runs cover the mask.
     #[must_use]
     pub fn cells(&self) -> MaskImage {
         let (columns, rows) = self.size;

@@ -36,7 +36,7 @@ pub fn read_ply(path: &Path) -> Result<GaussianMap<f32>, DatasetError> {
 /// # Errors
 /// [`DatasetError::Ply`] for a bad header, a missing property, a vertex with a number that is not
 /// finite, a zero quaternion or an unknown label, and unless the vertices take all the bytes that follow
-/// the header; [`DatasetError::TooLarge`] above [`limits::GAUSSIANS`](crate::limits::GAUSSIANS).
+/// the header; [`DatasetError::TooLarge`] above [`limits::GAUSSIANS`].
 /// Memory grows with what has been read, not with what the header promises.
 pub fn parse_ply(path: &Path, reader: &mut impl BufRead) -> Result<GaussianMap<f32>, DatasetError> {
     let (header, ascii) = read_header(path, reader)?;
