@@ -9,7 +9,7 @@ use std::path::PathBuf;
 
 use garad::core::{Camera, GaussianMap, KeyframeId, NewGaussian, Par, Real, Se3, So3};
 use garad::dataset::{PlyOptions, read_ply, write_ply};
-use garad::pictures::{color_picture, save_png};
+use garad::images::{color_image, save_png};
 use garad::raster::{RenderOptions, fast};
 use nalgebra::Vector3;
 
@@ -32,7 +32,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let options = RenderOptions::default();
     let picture = fast::render(&map, &camera, &camera_from_world, &options, Par::new(2))?;
     let out = folder.join("garad_render_ply.png");
-    save_png(&out, &color_picture(&picture))?;
+    save_png(&out, &color_image(&picture))?;
 
     println!(
         "{}: {} Gaussians of degree {}",

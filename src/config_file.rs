@@ -14,9 +14,9 @@ use garad_slam::config::RENAMED_KEYS;
 pub fn read(path: &Path) -> Result<Config> {
     let text = std::fs::read_to_string(path)
         .with_context(|| format!("{}: cannot read the configuration", path.display()))?;
-    let config = match over_defaults(&text) {
+    let config = match override_defaults(&text) {
         Some(config) => config,
-        // Something is wrong with it: the text itself knows the line.
+        // Invalid: only parsing the text itself tells the line.
         None => toml::from_str(&text).map_err(|error: toml::de::Error| {
             let line = line_of(&text, error.span().map_or(0, |span| span.start));
             anyhow!("{}:{line}: {}", path.display(), error.message())
@@ -28,15 +28,15 @@ pub fn read(path: &Path) -> Result<Config> {
     Ok(config)
 }
 
-/// The defaults, with the keys of `text` laid over them, however deep they stand. Serde alone would
-/// fill a table inside a table with that table's own defaults, not with those of the pipeline.
-fn over_defaults(text: &str) -> Option<Config> {
+/// The defaults, overridden by the keys of `text` at any depth. Serde alone would fill a nested table
+/// with that table's own defaults instead of the pipeline's.
+fn override_defaults(text: &str) -> Option<Config> {
     let mut config = toml::Table::try_from(Config::default()).ok()?;
     let mut given = text.parse().ok()?;
     for (old, new) in RENAMED_KEYS {
         rename(&mut given, old, new);
     }
-    lay_over(&mut config, given);
+    override_table(&mut config, given);
     config.try_into().ok()
 }
 
@@ -59,12 +59,14 @@ fn rename(given: &mut toml::Table, old: &str, new: &str) {
     }
 }
 
-fn lay_over(below: &mut toml::Table, above: toml::Table) {
-    for (key, value) in above {
-        match (below.get_mut(&key), value) {
-            (Some(toml::Value::Table(below)), toml::Value::Table(above)) => lay_over(below, above),
+fn override_table(base: &mut toml::Table, given: toml::Table) {
+    for (key, value) in given {
+        match (base.get_mut(&key), value) {
+            (Some(toml::Value::Table(base)), toml::Value::Table(given)) => {
+                override_table(base, given)
+            }
             (_, value) => {
-                below.insert(key, value);
+                base.insert(key, value);
             }
         }
     }
@@ -79,9 +81,9 @@ fn line_of(text: &str, at: usize) -> usize {
 /// The configuration as TOML text.
 ///
 /// # Errors
-/// If a value has no TOML form (none of ours).
+/// A value without a TOML representation (none of ours).
 pub fn write(config: &Config) -> Result<String> {
-    toml::to_string(config).context("the configuration has no TOML form")
+    toml::to_string(config).context("cannot write the configuration as TOML")
 }
 
 #[cfg(test)]
@@ -96,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_back() {
+    fn round_trip() {
         let mut config = Config::default();
         config.features.count = 700;
         let text = write(&config).expect("TOML");
@@ -105,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_deep_down_leaves_its_neighbours_alone() {
+    fn nested_keys_leave_other_defaults_alone() {
         let text = "[crf.kernels]\nsigma_m = 0.3\n[crf.unary.depth]\nmean = 3.0\n\
                     [labels.noise]\nfloor_m = 0.02\n";
         let mut expected = Config::default();
@@ -116,7 +118,7 @@ mod tests {
         let mut tail = Config::default();
         tail.crf.mean_field.method = garad_crf::Method::Reference;
         let text = "[crf.mean_field]\nmethod = \"reference\"\n";
-        assert_eq!(parse(text).expect("valid"), tail, "a word for a table");
+        assert_eq!(parse(text).expect("valid"), tail, "a string for a table");
     }
 
     #[test]
@@ -149,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_are_named() {
+    fn mistakes_are_reported_with_their_line() {
         let unknown = format!(
             "{:#}",
             parse("[tracking]\nbff = 40.0").expect_err("no such key")

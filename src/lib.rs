@@ -1,8 +1,8 @@
 //! `garad`: a CPU-only reference implementation of GARAD-SLAM.
 //!
-//! RGB-D frames go in; out come the camera's path, a map of Gaussians, and for every feature
-//! whether it moves. This crate is the facade: it re-exports the stages under one roof and holds
-//! the [`runner`] that takes a recording through them and writes what came out.
+//! Input are RGB-D frames; output are the trajectory of the camera, a map of Gaussians, and for every
+//! feature whether it moves. This crate is the facade: it re-exports the stages and adds [`mod@run`],
+//! which takes a recording through them, and [`output`], which writes the results.
 //!
 //! Reading order for the method itself: [`core`] → [`features`] → [`optim`] → [`crf`] → [`raster`]
 //! → [`slam`]; `ARCHITECTURE.md` has the map.
@@ -20,12 +20,15 @@ pub use garad_slam as slam;
 pub use garad_synth as synth;
 
 pub mod config_file;
+pub mod images;
 pub mod output;
 pub mod packed_labels;
-pub mod pictures;
 pub mod progress;
+pub mod recording;
 pub mod render_quality;
-pub mod runner;
+pub mod run;
 pub mod session;
+pub mod source;
 pub mod stopwatch;
 pub mod trace;
+pub mod usage;

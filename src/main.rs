@@ -7,7 +7,7 @@ use garad::progress;
 
 mod commands;
 
-/// Gaussian-splatting SLAM on the CPU that stays correct when people walk through the picture.
+/// Gaussian-splatting SLAM on the CPU for scenes in which people move.
 #[derive(Debug, Parser)]
 #[command(name = "garad", version, propagate_version = true)]
 struct Cli {
@@ -17,23 +17,23 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Make a small dynamic sequence, run on it, judge and draw the result.
+    /// Make a small dynamic sequence, run on it, evaluate and draw the result.
     Demo(commands::demo::Args),
     /// Track a TUM or BONN recording (folder, .tgz or .zip) and build its map.
     Run(commands::run::Args),
-    /// Run a recording with and without each part, and print what each earns.
+    /// Run a recording with and without each part, and print the results side by side.
     Ablate(commands::ablate::Args),
-    /// Judge results.
+    /// Evaluate results.
     #[command(subcommand)]
     Eval(commands::eval::Command),
-    /// Draw a map from a pose or along a path.
+    /// Render a map from a pose or along a trajectory.
     Render(commands::render::Args),
     /// Make a dynamic RGB-D recording with masks and exact poses.
     Synth(commands::synth::Args),
     /// Check any implementation, in any language, against the golden cases.
     #[command(subcommand)]
     Golden(commands::golden::Command),
-    /// Write down the inputs and outputs of every stage of some frames, or compare two such traces.
+    /// Record the inputs and outputs of every stage of some frames, or compare two such traces.
     Trace(commands::trace::Args),
 }
 
@@ -74,7 +74,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// `GARAD_LOG=debug` shows what happens at each keyframe; nothing it says enters a result.
+/// `GARAD_LOG=debug` logs each keyframe; results do not depend on it.
 fn log_level() -> tracing::Level {
     std::env::var("GARAD_LOG")
         .ok()

@@ -1,8 +1,7 @@
-//! [`PackedLabels`]: what was found to move in a frame, small enough to be kept for every frame of a long
-//! run.
+//! [`PackedLabels`]: the labels of a frame, compact enough to be kept for every frame of a long run.
 //!
-//! At 640 x 480 the labels of a frame take 43 kB as they are, and some 5 kB packed: places in tenths of a
-//! pixel, as they are written, and the mask as runs of equal cells.
+//! At 640 x 480 the labels of a frame take 43 kB, packed about 5 kB: positions in tenths of a pixel, as
+//! they are written, and the mask as runs of equal cells.
 
 use garad_core::{FrameId, Label, MaskImage};
 use garad_slam::LabelledFrame;
@@ -13,18 +12,18 @@ use serde::{Deserialize, Serialize};
 pub struct PackedLabels {
     /// The frame.
     pub frame: FrameId,
-    /// Place of every keypoint, tenths of a pixel.
+    /// Position of every keypoint, tenths of a pixel.
     tenths: Vec<[i32; 2]>,
-    /// Of every keypoint.
+    /// Label of every keypoint.
     labels: Vec<Label>,
     /// Columns and rows of the mask.
     size: (usize, usize),
-    /// Equal cells in a row, row by row: their value, and how many.
+    /// Runs of equal cells, row by row: value and count.
     runs: Vec<(u8, u32)>,
 }
 
 impl PackedLabels {
-    /// Rounds places to a tenth of a pixel, halves as `{:.1}` does.
+    /// Rounds positions to a tenth of a pixel, as `{:.1}` does.
     #[must_use]
     pub fn new(labels: &LabelledFrame) -> Self {
         let mut runs: Vec<(u8, u32)> = Vec::new();
@@ -45,26 +44,30 @@ impl PackedLabels {
         }
     }
 
-    /// Keypoints: (x, y), px, and what they were found to be.
+    /// Keypoints: (x, y), px, and label.
     pub fn keypoints(&self) -> impl Iterator<Item = ([f64; 2], Label)> {
         let places = self.tenths.iter().map(|t| t.map(|t| f64::from(t) / 10.0));
         places.zip(self.labels.iter().copied())
     }
 
-    /// 255 where something moves, one value per 4 x 4 pixels.
+    /// The mask: 255 on moving objects, one value per 4 x 4 pixels.
+    ///
+    /// # Panics
+    /// Never: the runs cover the mask.
     #[must_use]
     pub fn cells(&self) -> MaskImage {
         let (columns, rows) = self.size;
         let mut values = (self.runs.iter()).flat_map(|&(value, n)| (0..n).map(move |_| value));
-        // Asked for row by row, and as many as went in.
-        MaskImage::from_fn(columns, rows, |_, _| values.next().unwrap_or(0))
+        MaskImage::from_fn(columns, rows, |_, _| {
+            values.next().expect("as many values as the mask had cells")
+        })
     }
 }
 
-/// The number as it is written with one digit after the point, without the point.
+/// The number as written with one decimal, without the point.
 fn tenths(px: f64) -> i32 {
     let written = format!("{px:.1}").replace('.', "");
-    written.parse().unwrap_or(i32::MAX) // beyond any picture
+    written.parse().unwrap_or(i32::MAX) // far outside any image
 }
 
 #[cfg(test)]
@@ -72,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn labels_come_back_as_they_are_written() {
+    fn packing_keeps_what_the_files_show() {
         let mut cells = MaskImage::new(5, 3, 0);
         cells[(4, 0)] = 255;
         cells[(0, 1)] = 255;

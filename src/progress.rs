@@ -10,8 +10,8 @@ const LINE_EVERY: Duration = Duration::from_secs(5);
 
 /// One line on stderr.
 ///
-/// Control characters, which file names may hold, are escaped. Nobody may be reading any more
-/// (`2>&1 | head`): that is no reason to stop.
+/// Control characters, which file names may contain, are escaped. A closed stream (`2>&1 | head`) is
+/// ignored.
 pub fn note(line: &str) {
     let mut shown = String::with_capacity(line.len() + 1);
     for c in line.chars() {
@@ -71,7 +71,7 @@ impl Progress {
         }
     }
 
-    /// One step more; `note` says what state the job is in.
+    /// One step more; `note` describes the state of the job.
     pub fn step(&mut self, note: &str) {
         self.done += 1;
         match &self.how {
@@ -95,7 +95,7 @@ impl Progress {
         }
     }
 
-    /// The job is over.
+    /// Ends the job.
     pub fn finish(&self) {
         if let How::Bar(bar) = &self.how {
             bar.finish();

@@ -1,34 +1,34 @@
-//! How much the map looks like the recording: every frame against the render from its pose.
+//! Image quality of the map: every frame against the render from its estimated pose.
 
 use anyhow::Result;
 use garad_core::undistort::Undistortion;
 use garad_core::{Camera, DepthImage, Distortion, GaussianMap, Par, RgbImage, StampedPose};
-use garad_eval::{DepthMetrics, GHOST_GAP_M, RenderMetrics, compare_pictures, depth_l1, ghosts};
+use garad_eval::{DepthMetrics, GHOST_GAP_M, RenderMetrics, compare_images, depth_l1, ghosts};
 use garad_raster::{Include, RenderOptions, fast};
 
 use crate::progress::Progress;
-use crate::runner::SourceFrame;
+use crate::source::SourceFrame;
 
 /// Means over frames.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct RenderQuality {
-    /// Whole picture.
+    /// Whole image.
     pub all: RenderMetrics,
-    /// Outside what moves (255) or is unknown (128); only frames with a mask count.
+    /// Outside the mask (255 moving, 128 unknown); only frames with a mask count.
     pub outside_mask: RenderMetrics,
-    /// Rendered depth against measured depth, outside what moves.
+    /// Rendered depth against measured depth, outside the mask.
     pub depth: DepthMetrics,
-    /// Frames judged.
+    /// Frames evaluated.
     pub frames: usize,
 }
 
-/// PSNR and SSIM of every frame that has a pose, static Gaussians only, means over frames.
+/// PSNR, SSIM and depth error of the static Gaussians, means over the frames that have a pose.
 ///
-/// Pictures of a distorted camera are undistorted first (bilinear); pixels that the lens did not see
-/// do not count. Frames that cannot be read count no more than frames without a pose.
+/// Images of a distorted camera are undistorted first (bilinear); pixels outside the distorted image do not
+/// count. Frames that cannot be read are left out, like frames without a pose.
 ///
 /// # Errors
-/// If the map cannot be drawn.
+/// If the map cannot be rendered.
 pub fn judge(
     map: &GaussianMap,
     camera: &Camera,
@@ -56,9 +56,9 @@ pub fn judge(
         };
         let camera_from_world = pose.world_from_camera.inverse();
         let rendered = fast::render(map, &pinhole, &camera_from_world, &options, par)?;
-        let color = crate::pictures::color_picture(&rendered);
+        let color = crate::images::color_image(&rendered);
         let truth = straightened(&straight, &frame.rgb, par);
-        all.add(compare_pictures(&color, &truth, Some(&unseen), par)?);
+        all.add(compare_images(&color, &truth, Some(&unseen), par)?);
         let mask = frame.truth.as_ref().or(frame.mask.as_ref());
         let mask = mask.map(|m| straight.nearest(m, 255));
         let measured = straight.nearest(&frame.depth, 0.0);
@@ -71,7 +71,7 @@ pub fn judge(
             depth.ghosts += found.fraction;
         }
         if let Some(mask) = mask
-            && let Ok(quality) = compare_pictures(&color, &truth, Some(&mask), par)
+            && let Ok(quality) = compare_images(&color, &truth, Some(&mask), par)
         {
             outside.add(quality);
         }
@@ -94,7 +94,7 @@ fn pose_at(trajectory: &[StampedPose], t_s: f64) -> Option<&StampedPose> {
         .filter(|p| (p.t_s - t_s).abs() <= 1e-6)
 }
 
-/// What a pinhole would have seen, in 8 bits.
+/// The undistorted image, in 8 bits.
 #[allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -105,8 +105,8 @@ fn straightened(straight: &Undistortion, rgb: &RgbImage, par: Par) -> RgbImage {
     straight.color(rgb, par).map(|c| c.map(to_u8))
 }
 
-/// Pixels around within which the nearest measured depth counts as the background: a splat at an
-/// edge reaches a few pixels over it, and colour and depth are a few pixels off each other.
+/// Radius in which the nearest measured depth counts as the background: a splat at an edge extends a few
+/// pixels over it, and colour and depth are misaligned by a few pixels.
 const EDGE_PX: usize = 6;
 
 /// The smallest measured depth in the square of [`EDGE_PX`] around each pixel that has a depth.
@@ -137,8 +137,8 @@ struct Sums {
 }
 
 impl Sums {
-    fn add(&mut self, quality: garad_eval::PictureQuality) {
-        // Equal pictures have no finite PSNR; 100 dB is beyond any 8-bit difference.
+    fn add(&mut self, quality: garad_eval::ImageQuality) {
+        // Equal images have no finite PSNR; 100 dB is beyond any 8-bit difference.
         self.psnr_db += quality.psnr_db.min(100.0);
         self.ssim += quality.ssim;
         self.count += 1;
@@ -184,7 +184,7 @@ mod tests {
     use garad_core::Se3;
 
     #[test]
-    fn an_edge_is_no_ghost() {
+    fn edges_are_not_ghosts() {
         let mut depth = DepthImage::new(20, 3, 4.0);
         depth[(2, 1)] = 1.0;
         depth[(15, 1)] = 0.0;

@@ -1,7 +1,7 @@
-//! [`Stopwatch`]: how long each stage took. Clocks live here and nowhere below.
+//! [`Stopwatch`]: how long each stage took.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use garad_eval::StageTiming;
@@ -37,7 +37,7 @@ impl Stopwatch {
         self.calls_ms(stage).iter().sum()
     }
 
-    /// Takes in the calls another one has collected.
+    /// Adds the calls collected by another one.
     pub fn merge(&mut self, other: &Self) {
         for (stage, ms) in &other.durations_ms {
             let all = self.durations_ms.entry(stage.clone()).or_default();
@@ -48,16 +48,9 @@ impl Stopwatch {
     /// Median, 95th percentile and number of calls per stage.
     #[must_use]
     pub fn summary(&self) -> BTreeMap<String, StageTiming> {
-        self.durations_ms
-            .iter()
-            .filter_map(|(stage, ms)| {
-                let timing = StageTiming {
-                    median_ms: percentile(ms, 0.5)?,
-                    p95_ms: percentile(ms, 0.95)?,
-                    calls: ms.len(),
-                };
-                Some((stage.clone(), timing))
-            })
+        let stages = self.durations_ms.iter();
+        stages
+            .filter_map(|(stage, ms)| Some((stage.clone(), StageTiming::of(ms)?)))
             .collect()
     }
 }
@@ -74,108 +67,28 @@ impl Observer for Stopwatch {
     }
 }
 
-/// What a frame cost.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct FrameCost {
-    /// Position in the recording.
-    pub frame: u32,
-    /// Tracking, without the wait, milliseconds.
-    pub tracking_ms: f64,
-    /// Waiting for the mapper, milliseconds.
-    pub waiting_ms: f64,
-    /// Memory in use after it, MiB; `None` where the system does not say.
-    pub resident_mb: Option<f64>,
-    /// Processor time of all threads from the start of the program to its end, milliseconds; `None` where
-    /// the system does not say.
-    pub processor_ms: Option<f64>,
-}
-
-/// A line of `/proc/self/status` that counts memory, such as `VmRSS:` or `VmHWM:`, MiB. `None` on
-/// systems that have no such file.
-#[must_use]
-pub fn memory_mb(line: &str) -> Option<f64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|l| l.starts_with(line))?;
-    let kib: f64 = line.split_whitespace().nth(1)?.parse().ok()?;
-    Some(kib / 1024.0)
-}
-
-/// Processor time of all threads so far, milliseconds, in steps of 10. `None` on systems that have no
-/// `/proc/self/stat`.
-#[must_use]
-pub fn processor_ms() -> Option<f64> {
-    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-    processor_ms_of(&stat)
-}
-
-/// Of the fields behind the program's name in parentheses, the 12th and the 13th: time in its own code and
-/// in the system's, in hundredths of a second (`man 5 proc`).
-fn processor_ms_of(stat: &str) -> Option<f64> {
-    let (_, fields) = stat.rsplit_once(')')?;
-    let mut fields = fields.split_whitespace().skip(11);
-    let own: f64 = fields.next()?.parse().ok()?;
-    let system: f64 = fields.next()?.parse().ok()?;
-    Some(10.0 * (own + system))
-}
-
-/// A stopwatch that can be held from two threads.
+/// A stopwatch shared by two threads.
 #[derive(Debug, Clone, Default)]
 pub struct SharedStopwatch(Arc<Mutex<Stopwatch>>);
 
 impl SharedStopwatch {
-    /// Gives what was collected so far, and starts anew.
+    fn lock(&self) -> MutexGuard<'_, Stopwatch> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns what was collected so far, and starts anew.
     #[must_use]
     pub fn take(&self) -> Stopwatch {
-        std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner))
+        std::mem::take(&mut *self.lock())
     }
 }
 
 impl Observer for SharedStopwatch {
     fn begin(&mut self, stage: Stage) {
-        self.0
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .begin(stage);
+        self.lock().begin(stage);
     }
 
     fn end(&mut self, stage: Stage) {
-        self.0
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .end(stage);
-    }
-}
-
-/// The smallest value that at least `share` of all values do not exceed (nearest rank).
-fn percentile(values: &[f64], share: f64) -> Option<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_unstable_by(f64::total_cmp);
-    #[allow(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "a rank between 0 and the number of values"
-    )]
-    let rank = (share * sorted.len() as f64).ceil() as usize;
-    sorted.get(rank.saturating_sub(1)).copied()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{percentile, processor_ms_of};
-
-    #[test]
-    fn processor_time_is_own_and_system_time() {
-        // A name may hold spaces and parentheses.
-        let stat = "7 (a ) b) S 1 7 7 0 -1 4 10 0 0 0 123 45 6 7 20 0 3 0";
-        assert_eq!(processor_ms_of(stat), Some(1680.0), "(123 + 45) / 100 s");
-        assert_eq!(processor_ms_of("7 (a) S 1 7"), None, "cut off");
-    }
-
-    #[test]
-    fn percentiles_by_nearest_rank() {
-        let values = [5.0, 1.0, 3.0, 2.0, 4.0];
-        assert_eq!(percentile(&values, 0.5), Some(3.0), "median");
-        assert_eq!(percentile(&values, 0.95), Some(5.0), "95 %");
-        assert_eq!(percentile(&[], 0.5), None, "no call");
+        self.lock().end(stage);
     }
 }

@@ -1,4 +1,4 @@
-//! [`record`] and [`write()`]: the inputs and outputs of every stage of some frames, on disk.
+//! [`record`] and [`write()`]: inputs and outputs of every stage of some frames, on disk.
 
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -8,18 +8,19 @@ use garad_core::{Camera, Par};
 use garad_golden::trace::{Entry, INDEX, Index, Role};
 use garad_golden::{Dtype, Tensor, npy};
 use garad_slam::trace::{TraceRecord, Values};
-use garad_slam::{FrameInput, Silent, Slam};
+use garad_slam::{Silent, Slam};
 use serde_json::Value;
 
 use crate::progress::Progress;
-use crate::runner::{RunOptions, SourceFrame};
+use crate::run::RunOptions;
+use crate::source::SourceFrame;
 
-/// Runs a recording up to the last of `frames` and keeps what the stages took and made in them.
-/// Frames are counted as the run counts them, from 0; one that cannot be read is not counted.
-/// The second answer names those.
+/// Runs a recording up to the last of `frames` and records the inputs and outputs of the stages in them.
+/// Frames are counted as the run counts them, from 0; one that cannot be read is not counted, and its
+/// error is in the second list returned.
 ///
 /// # Errors
-/// Configuration or camera that cannot be; with `strict` the first frame that cannot be read.
+/// An invalid configuration or camera; with `strict` the first frame that cannot be read.
 pub fn record(
     camera: &Camera,
     source: impl Iterator<Item = Result<SourceFrame>>,
@@ -38,14 +39,8 @@ pub fn record(
             break;
         }
         let outcome = frame.and_then(|frame| {
-            let input = FrameInput {
-                t_s: frame.t_s,
-                rgb: &frame.rgb,
-                depth: &frame.depth,
-                mask: frame.mask.as_ref(),
-            };
             next += 1;
-            Ok(slam.process(&input, &mut Silent)?)
+            Ok(slam.process(&frame.input(), &mut Silent)?)
         });
         match outcome {
             Ok(report) => progress.step(report.state.name()),
@@ -71,7 +66,7 @@ fn tensor(record: &TraceRecord) -> Option<Tensor> {
     Tensor::from_bytes(dtype, record.shape.clone(), bytes)
 }
 
-/// Writes the records into a folder, as `garad_golden::trace` describes. `about` says what was run.
+/// Writes the records into a folder, as `garad_golden::trace` describes. `about` describes the run.
 ///
 /// # Errors
 /// A file that cannot be written.
@@ -111,7 +106,7 @@ pub fn write(folder: &Path, records: &[TraceRecord], about: Value) -> Result<()>
         .with_context(|| format!("{}: cannot write", path.display()))
 }
 
-/// One line per tensor: to be read, and to be compared line by line.
+/// The index with one line per tensor, so that it can be compared line by line.
 fn text(index: &Index) -> Result<String> {
     let lines: Vec<String> = index
         .tensors

@@ -14,7 +14,7 @@ use std::error::Error;
 use std::path::PathBuf;
 
 use garad::core::{Par, RgbImage};
-use garad::pictures::save_png;
+use garad::images::save_png;
 
 mod canvas;
 mod chart;

@@ -4,7 +4,7 @@ use garad::core::{
     Camera, GaussianMap, Image, KeyframeId, NewGaussian, Par, Real, RgbImage, Rng, Se3,
 };
 use garad::eval::{psnr_db, ssim, ssim_map};
-use garad::pictures::color_picture;
+use garad::images::color_image;
 use garad::raster::{RenderOptions, Rendered, Upstream, backward, render};
 use garad::synth::SceneName;
 
@@ -41,7 +41,7 @@ pub(crate) fn one_splat() -> Drawn {
     let splat = drawn.projected[0];
     let (zoom, left, top) = (26.0, 10.0, 10.0);
     let mut canvas = Canvas::new(900, 490);
-    canvas.paste(&color_picture(&narrow(&drawn)), [10, 10], 26);
+    canvas.paste(&color_image(&narrow(&drawn)), [10, 10], 26);
     let at = |x: f64, y: f64| [left + zoom * (x + 0.5), top + zoom * (y + 0.5)];
     let reach = (2.0 * Real::ln(255.0 * splat.opacity)).sqrt();
     let rings = [(1.0, BLACK), (2.0, BLACK), (3.0, BLACK), (reach, BLUE)];

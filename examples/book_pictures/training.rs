@@ -1,7 +1,7 @@
 //! Chapters 12 and 13: a map trained from coarse to fine, and why the order of a sum matters.
 
 use garad::core::{FrameId, GaussianMap, KeyframeId, Real, RgbImage, Rng};
-use garad::pictures::color_picture;
+use garad::images::color_image;
 use garad::raster::{RenderOptions, fast};
 use garad::slam::mapping::insert::insert_depth_samples;
 use garad::slam::mapping::job::MappingJob;
@@ -75,7 +75,7 @@ pub(crate) fn coarse_to_fine() -> Drawn {
             let pose = poses[2];
             let drawn = fast::render(&map, &camera, &pose, &RenderOptions::default(), par())?;
             canvas.text([left as f64, 6.0], &format!("{i} iterations"), BLACK);
-            canvas.paste(&color_picture(&drawn), [left, 28], 1);
+            canvas.paste(&color_image(&drawn), [left, 28], 1);
             left += 250;
         }
         // As after the last frame, nothing is cloned or split in the second half.

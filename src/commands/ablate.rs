@@ -1,13 +1,13 @@
-//! `garad ablate`: what each part earns, as the paper's Table III.
+//! `garad ablate`: results with and without each part, as the paper's Table III.
 
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use garad::output::{self, Judged};
-use garad::runner;
+use garad::run;
 use garad_dataset::write_bytes_atomically;
 
-use super::run::{InputArgs, Masks, frames};
+use super::input::{InputArgs, Masks, frames};
 use super::{CommonArgs, Part, make_folder, say};
 
 #[derive(Debug, clap::Args)]
@@ -20,7 +20,7 @@ pub(crate) struct Args {
     input: InputArgs,
 }
 
-/// What is run: the whole, and the whole without each part.
+/// The complete system, and the system without each part.
 const VARIANTS: [(&str, &[Part]); 5] = [
     ("full", &[]),
     ("without flow", &[Part::Flow]),
@@ -34,17 +34,12 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let dataset = args.input.open(&args.dataset)?;
     let Some(ground_truth) = dataset.ground_truth() else {
         bail!(
-            "{}: no ground truth; expected groundtruth.txt to judge by",
+            "{}: no ground truth; expected groundtruth.txt",
             args.dataset.display()
         );
     };
     let truth = Masks::of_recording(&dataset);
-    let out = args
-        .common
-        .out
-        .clone()
-        .unwrap_or_else(|| PathBuf::from("out").join(format!("ablate_{}", dataset.name())));
-    make_folder(&out)?;
+    let out = (args.common).out_folder(&format!("ablate_{}", dataset.name()))?;
 
     let mut table = vec![
         "| variant | ATE RMSE [m] | STD [m] | tracked | keypoint F1 | mask IoU |".to_owned(),
@@ -56,7 +51,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         for part in parts {
             part.leave_out(&mut options.config);
         }
-        let result = runner::run(
+        let result = run::run(
             &dataset.calibration().camera,
             frames(&dataset, None, truth.as_ref()),
             dataset.len(),

@@ -1,15 +1,15 @@
-//! `garad demo`: a small dynamic sequence made, run, judged and drawn. Nothing to download.
+//! `garad demo`: a small dynamic sequence, generated, run, evaluated and drawn.
 
-use std::path::PathBuf;
 use std::sync::mpsc::sync_channel;
 
 use anyhow::Result;
 use garad::output::{self, Judged};
-use garad::runner::{self, SourceFrame};
+use garad::run;
+use garad::source::SourceFrame;
 use garad_core::Par;
 use garad_synth::{Scene, SceneConfig, SceneName};
 
-use super::{CommonArgs, make_folder, say};
+use super::{CommonArgs, say};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -21,14 +21,14 @@ pub(crate) struct Args {
     /// Frames of the sequence.
     #[arg(long, default_value_t = 75)]
     frames: usize,
-    /// Take the scene's own masks instead of finding out what moves.
+    /// Use the true masks of the scene instead of computed labels.
     #[arg(long)]
     oracle_labels: bool,
 }
 
-/// Training iterations unless the command line or a configuration says otherwise.
+/// Training iterations, unless the command line or a configuration sets them.
 const REFINE: usize = 120;
-/// Frames made ahead of tracking.
+/// Frames generated ahead of tracking.
 const AHEAD: usize = 2;
 
 pub(crate) fn run(args: &Args) -> Result<()> {
@@ -43,17 +43,12 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         ..SceneConfig::new(args.scene)
     })?;
     let name = format!("demo_{}", args.scene);
-    let out = args
-        .common
-        .out
-        .clone()
-        .unwrap_or_else(|| PathBuf::from("out").join(&name));
-    make_folder(&out)?;
+    let out = args.common.out_folder(&name)?;
     if !args.common.quiet {
         let labels = if args.oracle_labels {
-            "the scene's own labels"
+            "true labels of the scene"
         } else if options.config.labels.enabled {
-            "labels found on the way"
+            "computed labels"
         } else {
             "no labels"
         };
@@ -81,7 +76,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
                 }
             }
         });
-        runner::run(&camera, receiver.into_iter(), scene.len(), &options)
+        run::run(&camera, receiver.into_iter(), scene.len(), &options)
     })?;
     let ground_truth = scene.trajectory();
     let judged = Judged::new(&name, &result, Some(&ground_truth), "exact ground truth");

@@ -1,4 +1,4 @@
-//! `garad eval`: results judged.
+//! `garad eval`: results evaluated.
 
 use std::path::PathBuf;
 
@@ -13,7 +13,7 @@ use super::{eval_render, read_poses, say};
 pub(crate) enum Command {
     /// Absolute and relative trajectory error of an estimate.
     Trajectory(TrajectoryArgs),
-    /// PSNR and SSIM of the map over all frames, drawn from their estimated poses.
+    /// PSNR and SSIM of the map over all frames, rendered from their estimated poses.
     Render(eval_render::Args),
 }
 
@@ -26,23 +26,23 @@ pub(crate) struct TrajectoryArgs {
     /// Largest time difference of a pair, seconds.
     #[arg(long, default_value_t = garad_eval::MAX_DT_S)]
     max_dt: f64,
-    /// What may be adjusted before errors are measured.
+    /// Alignment before errors are measured.
     #[arg(long, value_enum, default_value_t = Align::Rigid)]
     align: Align,
     /// Interval of the relative error, seconds.
     #[arg(long, default_value_t = 1.0)]
     rpe_delta: f64,
-    /// Figures as JSON instead of a table.
+    /// JSON instead of a table.
     #[arg(long)]
     json: bool,
-    /// Also draws the two paths into this SVG file.
+    /// Also draws both trajectories into this SVG file.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Align {
-    /// Nothing.
+    /// No alignment.
     None,
     /// Rotation and translation.
     Rigid,

@@ -1,4 +1,4 @@
-//! `garad eval render`: how much a finished map looks like its recording.
+//! `garad eval render`: image quality of a finished map.
 
 use std::path::PathBuf;
 
@@ -8,7 +8,7 @@ use garad_core::Par;
 use garad_dataset::write_bytes_atomically;
 use garad_eval::{Metrics, RenderMetrics};
 
-use super::run::{InputArgs, Masks, frames};
+use super::input::{InputArgs, Masks, frames};
 use super::{read_poses, say};
 
 #[derive(Debug, clap::Args)]
@@ -19,8 +19,8 @@ pub(crate) struct Args {
     dataset: PathBuf,
     #[command(flatten)]
     input: InputArgs,
-    /// Masks (255 moving): also judges what lies outside them. The recording's own, if it has any,
-    /// need not be named.
+    /// Masks (255 moving): also evaluates the pixels outside them. Default: the recording's own, if it
+    /// has any.
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
     /// Threads.
@@ -55,7 +55,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         "protocol       means over {} frames at estimated poses, static Gaussians",
         quality.frames
     ))?;
-    say(&format!("whole picture  {}", row(&quality.all)))?;
+    say(&format!("whole image    {}", row(&quality.all)))?;
     if masks.is_some() {
         say(&format!("outside masks  {}", row(&quality.outside_mask)))?;
     }

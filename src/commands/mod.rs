@@ -5,6 +5,7 @@ pub(crate) mod demo;
 pub(crate) mod eval;
 pub(crate) mod eval_render;
 pub(crate) mod golden;
+pub(crate) mod input;
 pub(crate) mod render;
 pub(crate) mod run;
 pub(crate) mod synth;
@@ -16,13 +17,14 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
-use garad::runner::RunOptions;
+pub(crate) use garad::output::make_folder;
+use garad::run::RunOptions;
 use garad_core::StampedPose;
 
-/// What `run` and `demo` share.
+/// Options shared by `run`, `demo` and `ablate`.
 #[derive(Debug, Args)]
 pub(crate) struct CommonArgs {
-    /// Where results go.
+    /// Folder for the results.
     #[arg(short = 'o', long = "out", value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     /// Threads; the result has the same bits for any number.
@@ -40,21 +42,21 @@ pub(crate) struct CommonArgs {
     /// Leave a part out (paper, Table III); may be given more than once.
     #[arg(long, value_enum, value_name = "PART")]
     pub(crate) without: Vec<Part>,
-    /// No progress, only the result.
+    /// No progress, only results.
     #[arg(long)]
     pub(crate) quiet: bool,
 }
 
-/// What a run can do without.
+/// Parts that can be left out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Part {
-    /// No labels: everything is taken for static.
+    /// No labels: everything counts as static.
     Crf,
-    /// Labels stay as the field gives them.
+    /// Labels of the CRF are not checked by optical flow.
     Flow,
     /// No map of Gaussians.
     Mapping,
-    /// The path is not pulled together where a place is seen again.
+    /// No loop closing.
     Loops,
 }
 
@@ -69,7 +71,7 @@ impl Part {
     }
 }
 
-/// More threads than this cost time and memory, and no machine gains by them.
+/// More threads cost time and memory without any gain.
 const MAX_THREADS: usize = 256;
 
 fn default_threads() -> usize {
@@ -81,7 +83,15 @@ fn threads() -> RangedU64ValueParser<usize> {
 }
 
 impl CommonArgs {
-    /// Options for the runner.
+    /// The folder for results, `out/NAME` unless given, made before the work.
+    pub(crate) fn out_folder(&self, name: &str) -> Result<PathBuf> {
+        let default = || PathBuf::from("out").join(name);
+        let out = self.out.clone().unwrap_or_else(default);
+        make_folder(&out)?;
+        Ok(out)
+    }
+
+    /// Options of the run.
     pub(crate) fn run_options(&self, strict: bool) -> Result<RunOptions> {
         let mut config = match &self.config {
             Some(path) => garad::config_file::read(path)?,
@@ -103,7 +113,7 @@ impl CommonArgs {
     }
 }
 
-/// Prints a line of the result on stdout. A reader that has left (`garad ... | head`) is no error.
+/// Prints a line of the result on stdout. A closed stream (`garad ... | head`) is not an error.
 pub(crate) fn say(line: &str) -> Result<()> {
     match writeln!(io::stdout(), "{line}") {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {
@@ -111,12 +121,6 @@ pub(crate) fn say(line: &str) -> Result<()> {
         }
         _ => Ok(()),
     }
-}
-
-/// Makes the folder for results, before the work whose results it is to hold.
-pub(crate) fn make_folder(path: &Path) -> Result<()> {
-    std::fs::create_dir_all(path)
-        .with_context(|| format!("{}: cannot make the folder", path.display()))
 }
 
 /// A trajectory with at least one pose.

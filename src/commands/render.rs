@@ -1,10 +1,10 @@
-//! `garad render`: a map drawn from a pose or along a path.
+//! `garad render`: a map rendered from a pose or along a trajectory.
 
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::ValueEnum;
-use garad::pictures;
+use garad::images;
 use garad::progress::Progress;
 use garad_core::{Camera, Par, Se3, So3, StampedPose};
 use garad_dataset::{Calibration, Preset};
@@ -17,17 +17,17 @@ use super::{make_folder, read_poses, say};
 pub(crate) struct Args {
     /// The map, 3DGS PLY.
     map: PathBuf,
-    /// Folder for the pictures.
+    /// Folder for the images.
     #[arg(short = 'o', long = "out", value_name = "DIR")]
     out: PathBuf,
     /// One pose, world from camera: "tx ty tz qx qy qz qw".
     #[arg(long, value_name = "POSE", value_parser = pose, conflicts_with = "trajectory",
           allow_hyphen_values = true)]
     pose: Option<Se3>,
-    /// Poses, TUM format; a picture each.
+    /// Poses, TUM format; an image each.
     #[arg(long, value_name = "FILE")]
     trajectory: Option<PathBuf>,
-    /// Draw every so many poses of the trajectory.
+    /// Render every Nth pose of the trajectory.
     #[arg(long, default_value_t = 1)]
     every: usize,
     /// Camera by name: freiburg1, freiburg2, freiburg3, bonn.
@@ -36,7 +36,7 @@ pub(crate) struct Args {
     /// Camera by file: `width height fx fy cx cy depth_factor fps`.
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
-    /// What to draw.
+    /// What to render.
     #[arg(long, value_enum, default_values_t = [What::Color])]
     what: Vec<What>,
     /// Which Gaussians.
@@ -75,12 +75,13 @@ fn pose(text: &str) -> Result<Se3, String> {
             numbers.len()
         ));
     };
-    let rotation = So3::from_quaternion(qw, qx, qy, qz).ok_or("the quaternion has no direction")?;
+    let rotation =
+        So3::from_quaternion(qw, qx, qy, qz).ok_or("the quaternion is zero or not finite")?;
     let pose = Se3::new(rotation, Vector3::new(tx, ty, tz));
     if pose.is_finite() {
         Ok(pose)
     } else {
-        Err("the pose has a number that is not finite".to_owned())
+        Err("a number is not finite".to_owned())
     }
 }
 
@@ -108,16 +109,16 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             Par::new(args.threads),
         )?;
         for what in &args.what {
-            let (name, picture) = match what {
-                What::Color => ("color", pictures::color_picture(&rendered)),
-                What::Opacity => ("opacity", pictures::opacity_picture(&rendered)),
+            let (name, image) = match what {
+                What::Color => ("color", images::color_image(&rendered)),
+                What::Opacity => ("opacity", images::opacity_image(&rendered)),
                 What::Depth => {
                     let depth = rendered.normalized_depth();
-                    let range = pictures::depth_range(&depth);
-                    ("depth", pictures::depth_picture(&depth, range))
+                    let range = images::depth_range(&depth);
+                    ("depth", images::depth_image(&depth, range))
                 }
             };
-            pictures::save_png(&args.out.join(format!("{i:06}_{name}.png")), &picture)?;
+            images::save_png(&args.out.join(format!("{i:06}_{name}.png")), &image)?;
         }
         progress.step("");
     }
@@ -125,7 +126,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     if !args.quiet {
         let (n, count) = (map.len(), poses.len());
         say(&format!(
-            "{count} pose(s), {n} Gaussians, pictures in {}",
+            "{count} pose(s), {n} Gaussians, images in {}",
             args.out.display()
         ))?;
     }
@@ -137,7 +138,7 @@ fn camera(args: &Args) -> Result<Camera> {
         return Ok(preset.calibration().camera);
     }
     let Some(path) = &args.calibration else {
-        bail!("which camera? give --preset NAME or --calibration FILE");
+        bail!("no camera; expected --preset NAME or --calibration FILE");
     };
     Ok(Calibration::read(path)?.camera)
 }
@@ -150,7 +151,7 @@ fn poses(args: &Args) -> Result<Vec<StampedPose>> {
         }]);
     }
     let Some(path) = &args.trajectory else {
-        bail!("from where? give --pose \"tx ty tz qx qy qz qw\" or --trajectory FILE");
+        bail!("no pose; expected --pose \"tx ty tz qx qy qz qw\" or --trajectory FILE");
     };
     let poses = read_poses(path)?;
     Ok(poses.into_iter().step_by(args.every.max(1)).collect())
@@ -161,7 +162,7 @@ mod tests {
     use super::pose;
 
     #[test]
-    fn poses_are_read_or_refused_with_a_reason() {
+    fn poses_are_parsed_or_refused_with_a_reason() {
         let read = pose("1 2 3 0 0 0 2").expect("any length of quaternion");
         assert_eq!(read.translation.z.to_bits(), 3.0f64.to_bits(), "tz");
         assert!(

@@ -1,10 +1,9 @@
-//! `garad synth`: a dynamic scene as a recording in TUM layout, with masks and exact poses.
+//! `garad synth`: a synthetic dynamic scene as a recording in TUM layout, with masks and exact poses.
 
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use garad::pictures::{png, png_gray, png_gray16};
+use garad::images::{png, png_gray, png_gray16};
 use garad::progress::Progress;
 use garad_core::{DepthImage, Image, Par, StampedPose};
 use garad_dataset::write_bytes_atomically;
@@ -24,20 +23,20 @@ pub(crate) struct Args {
     /// Frames.
     #[arg(long, default_value_t = 150)]
     frames: usize,
-    /// Picture size.
+    /// Image size.
     #[arg(long, value_name = "WxH", default_value = "640x480", value_parser = size)]
     size: (usize, usize),
     /// Frames per second.
     #[arg(long, default_value_t = 30.0)]
     fps: f64,
-    /// Depth and colour as a Kinect would see them.
+    /// Depth and colour with the noise of a Kinect.
     #[arg(long)]
     noise: bool,
-    /// The same recording without anything that moves.
+    /// The same recording without moving objects.
     #[arg(long)]
     static_twin: bool,
-    /// Also the exact optical flow to the next frame: flow/*.npy, [H, W, 2] f32 px, NaN where the
-    /// point is hidden or outside.
+    /// Also write the exact optical flow to the next frame: flow/*.npy, [H, W, 2] f32 px, NaN where the
+    /// point is hidden or outside the image.
     #[arg(long)]
     flow: bool,
     /// Seed of textures, motion and noise.
@@ -51,7 +50,7 @@ pub(crate) struct Args {
     quiet: bool,
 }
 
-/// Pictures are named by their time with six decimals, and no two may share a name.
+/// Images are named by their time with six decimals; higher rates would give two images one name.
 const MAX_FPS: f64 = 1e5;
 /// Raw depth per metre, as in TUM recordings.
 const DEPTH_FACTOR: f64 = 5000.0;
@@ -135,9 +134,8 @@ struct Lists {
 
 impl Lists {
     fn add(&mut self, stamp: &str) {
-        // Writing to a String cannot fail.
-        let _ = writeln!(self.rgb, "{stamp} rgb/{stamp}.png");
-        let _ = writeln!(self.depth, "{stamp} depth/{stamp}.png");
+        self.rgb += &format!("{stamp} rgb/{stamp}.png\n");
+        self.depth += &format!("{stamp} depth/{stamp}.png\n");
     }
 
     fn write(&self, out: &Path) -> Result<()> {
@@ -152,7 +150,7 @@ impl Lists {
     }
 }
 
-/// Metres to raw values; what does not fit 16 bits is missing.
+/// Metres to raw values; 0 (missing) for what does not fit 16 bits.
 #[allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,

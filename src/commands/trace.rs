@@ -1,4 +1,4 @@
-//! `garad trace`: every stage of some frames written down, and two such traces compared.
+//! `garad trace`: records every stage of some frames, and compares two such traces.
 
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use garad::trace;
 use garad_golden::trace::diff::{Judge, diff};
 use serde_json::json;
 
-use super::run::{InputArgs, Masks, frames};
+use super::input::{InputArgs, Masks, frames};
 use super::{make_folder, say};
 
 /// Exit code when two traces differ.
@@ -31,11 +31,11 @@ struct Record {
     /// Folder, .tgz, .tar or .zip in TUM or BONN layout.
     #[arg(required = true)]
     dataset: Option<PathBuf>,
-    /// Frames to write down, first and last: `10..12`, or one of them. Earlier frames are run, later
-    /// ones are not.
+    /// Frames to record, first and last: `10..12`, or a single one. Earlier frames are run, later ones are
+    /// not.
     #[arg(long, value_name = "A..B", required = true)]
     frames: Option<Frames>,
-    /// Where the trace goes.
+    /// Folder for the trace.
     #[arg(short = 'o', long = "out", value_name = "DIR", required = true)]
     out: Option<PathBuf>,
     /// Threads; the trace has the same bits for any number.
@@ -47,7 +47,7 @@ struct Record {
     /// Configuration file; keys that are not given keep their defaults.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Masks taken instead of finding out what moves, as for `run`.
+    /// Masks used instead of computed labels, as for `run`.
     #[arg(long, value_name = "DIR")]
     oracle_labels: Option<PathBuf>,
     /// No progress.
@@ -60,7 +60,7 @@ struct Record {
 #[derive(Debug, clap::Subcommand)]
 enum Command {
     /// Compare two traces, or a trace and a folder of the same layout. Exit code 0: no difference, 1:
-    /// some, 2: the command is wrong.
+    /// differences, 2: invalid command.
     Diff(Diff),
 }
 
@@ -68,9 +68,9 @@ enum Command {
 struct Diff {
     /// A trace.
     first: PathBuf,
-    /// Another, or a port's folder; without a trace.json only the files that are there are compared.
+    /// Another trace, or the folder of a port; without a trace.json only existing files are compared.
     second: PathBuf,
-    /// Allow each tensor what a correct port may lose, instead of no difference at all.
+    /// Allow each tensor the tolerance of a correct port, instead of no difference at all.
     #[arg(long)]
     tolerances: bool,
 }
@@ -101,13 +101,13 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
 fn record(args: &Record) -> Result<()> {
     let (Some(path), Some(Frames(range)), Some(out)) = (&args.dataset, &args.frames, &args.out)
     else {
-        bail!("a recording, --frames and --out are needed");
+        bail!("expected a recording, --frames and --out");
     };
     let config = match &args.config {
         Some(path) => garad::config_file::read(path)?,
         None => garad_slam::Config::default(),
     };
-    let options = garad::runner::RunOptions {
+    let options = garad::run::RunOptions {
         config,
         threads: args.threads,
         seed: args.seed,
@@ -128,7 +128,7 @@ fn record(args: &Record) -> Result<()> {
         .as_ref()
         .map(|dir| Masks::find(&dataset, path, dir))
         .transpose()?;
-    empty(out)?;
+    check_empty(out)?;
     make_folder(out)?;
     let calibration = dataset.calibration();
     let camera = &calibration.camera;
@@ -163,8 +163,8 @@ fn record(args: &Record) -> Result<()> {
     ))
 }
 
-/// Tensors of an earlier trace must not mix with those of this one.
-fn empty(folder: &Path) -> Result<()> {
+/// Tensors of an earlier trace must not mix with the new ones.
+fn check_empty(folder: &Path) -> Result<()> {
     let there = std::fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some());
     if there {
         bail!(

@@ -9,7 +9,7 @@ use crate::support::{Bench, arg, assert_same_results, garad, metrics, run_into, 
 const RGB: &str = "rgb/0.066667.png";
 const DEPTH: &str = "depth/0.066667.png";
 
-/// What was done to frame 2, how, and the words for it.
+/// Damage to frame 2: name, function, and words of the message.
 type Damage = (&'static str, fn(&Bench), &'static [&'static str]);
 
 const DAMAGES: &[Damage] = &[
@@ -44,7 +44,7 @@ const DAMAGES: &[Damage] = &[
         &[DEPTH, "an empty file"],
     ),
     (
-        "no picture",
+        "no image",
         |b| b.write(RGB, "GIF89a"),
         &[RGB, "neither PNG nor JPEG"],
     ),
@@ -103,7 +103,7 @@ fn bad_frames_are_skipped_and_counted() {
 }
 
 #[test]
-fn a_strict_run_leaves_what_a_run_of_the_good_frames_would() {
+fn a_strict_run_equals_a_run_of_the_good_frames() {
     let good = Bench::empty();
     run_into(short(), &good.out(), &["--max-frames", "2"]).succeeds();
     for (what, damage, words) in DAMAGES {
@@ -119,7 +119,7 @@ fn a_strict_run_leaves_what_a_run_of_the_good_frames_would() {
     }
 }
 
-/// The first frame is looked at before the others, but may be as bad as any.
+/// The header of the first frame is read when the recording is opened.
 #[test]
 fn the_first_and_the_last_frame_may_be_bad() {
     let bench = Bench::new();
@@ -153,14 +153,14 @@ fn without_a_good_frame_nothing_is_tracked_but_all_is_written() {
     let map = bench.out().join("map.ply");
     let calibration = bench.rec().join("camera.txt");
     let pose = ["--pose", "0 0 0 0 0 0 1", "--quiet", "-o"];
-    let pictures = bench.path("pictures");
+    let images = bench.path("images");
     let mut render = vec!["render", arg(&map), "--calibration", arg(&calibration)];
     render.extend(pose);
-    render.push(arg(&pictures));
+    render.push(arg(&images));
     garad(render).succeeds(); // an empty map is a map
 }
 
-/// A mask that cannot be read spoils its frame, like any other image.
+/// A frame with an unreadable mask is skipped.
 #[test]
 fn bad_masks_are_bad_frames() {
     let bench = Bench::new();

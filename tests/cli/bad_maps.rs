@@ -1,10 +1,10 @@
-//! Files that call themselves maps.
+//! Invalid maps.
 
 use std::fs;
 
 use crate::rendering::{mapped, render};
 
-/// Headers that promise what the file does not hold, and numbers that are none.
+/// Headers that do not match the file, and numbers that are not finite.
 #[test]
 fn hostile_maps_are_refused() {
     let bench = mapped();
@@ -33,9 +33,9 @@ fn hostile_maps_are_refused() {
         (good[..40].to_vec(), &["expected"]),
         (
             good[..good.len() - 1].to_vec(),
-            &["bytes after the header", "exactly"],
+            &["the file ends", "as many numbers"],
         ),
-        ([&good[..], b"x"].concat(), &["bytes after the header"]),
+        ([&good[..], b"x"].concat(), &["bytes after the last vertex"]),
         (
             with(count, "element vertex 99999999999"),
             &["99999999999", "at most"],
@@ -45,7 +45,10 @@ fn hostile_maps_are_refused() {
             &["18446744073709551616"],
         ),
         (with(count, "element vertex -1"), &["-1"]),
-        (with(count, "element vertex 0"), &["bytes after the header"]),
+        (
+            with(count, "element vertex 0"),
+            &["bytes after the last vertex"],
+        ),
         (with("float opacity", "float opaqueness"), &["opacity"]),
         (
             with("property float x", "property list uchar int x"),
@@ -55,8 +58,11 @@ fn hostile_maps_are_refused() {
             with("property float y", "property float x"),
             &["each property once"],
         ),
-        (with(format, "ascii"), &["ascii"]),
-        (with(format, "binary_big_endian"), &["binary_big_endian"]),
+        (with(format, "ascii"), &["vertex 0", "ASCII"]),
+        (
+            with(format, "binary"),
+            &["Unknown format: binary", "big_endian"],
+        ),
         (not_a_number, &["vertex 0", "not finite"]),
         (
             [b"ply\ncomment ".to_vec(), vec![b'x'; 1 << 20]].concat(),
@@ -66,9 +72,9 @@ fn hostile_maps_are_refused() {
     let map = bench.path("hostile.ply");
     for (bytes, words) in cases {
         fs::write(&map, &bytes).expect("written");
-        let answer = render(&map, &bench.path("pictures"), &["--pose", "0 0 0 0 0 0 1"]);
+        let answer = render(&map, &bench.path("images"), &["--pose", "0 0 0 0 0 0 1"]);
         let answer = answer.fails_at_last_with(&["hostile.ply: "]);
         answer.fails_with(words);
     }
-    assert!(!bench.path("pictures").exists(), "nothing was drawn");
+    assert!(!bench.path("images").exists(), "nothing was drawn");
 }

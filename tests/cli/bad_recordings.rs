@@ -1,18 +1,18 @@
-//! Recordings that cannot be opened, lists that cannot be trusted, cameras that cannot be.
+//! Invalid recordings, lists and cameras.
 
 use std::fs;
 
 use crate::support::{Bench, arg, assert_same_results, garad, run_into, short};
 
 #[test]
-fn what_is_no_recording() {
+fn other_files_are_refused() {
     let bench = Bench::new();
     garad(["run", arg(&bench.path("nowhere"))]).fails_with(&["nowhere: not found", "expected"]);
     fs::create_dir(bench.path("empty")).expect("made");
     let answer = garad(["run", arg(&bench.path("empty"))]);
     answer.fails_with(&["empty: a folder without rgb.txt", "expected"]);
-    let picture = bench.rec().join("rgb/0.000000.png");
-    garad(["run", arg(&picture)]).fails_with(&["0.000000.png", "neither gzip, zip nor tar"]);
+    let image = bench.rec().join("rgb/0.000000.png");
+    garad(["run", arg(&image)]).fails_with(&["0.000000.png", "neither gzip, zip nor tar"]);
     bench.remove("rgb.txt");
     bench
         .run(&[])
@@ -20,7 +20,7 @@ fn what_is_no_recording() {
     assert!(!bench.out().exists(), "nothing to write, nothing written");
 }
 
-/// A name may hold anything; the error stays on its line.
+/// A name may contain control characters; the error is still one line.
 #[cfg(unix)]
 #[test]
 fn names_do_not_break_lines() {
@@ -30,9 +30,9 @@ fn names_do_not_break_lines() {
     assert_eq!(answer.err.lines().count(), 1, "{answer:?}");
 }
 
-/// Lists, each with one fault: file, line and what was expected.
+/// Each message has file, line and what was expected.
 #[test]
-fn faults_of_lists_are_named() {
+fn bad_lists_are_reported() {
     let cases = [
         ("rgb.txt", "", "", &["rgb.txt: lists no image"][..]),
         (
@@ -105,7 +105,7 @@ fn times_out_of_order_are_sorted_or_refused() {
 }
 
 #[test]
-fn colour_without_depth_is_left_out_or_refused() {
+fn colour_without_depth_is_dropped_or_refused() {
     let bench = Bench::new();
     bench.replace("depth.txt", "0.066667 depth/0.066667.png\n", "");
     let answer = bench.run(&[]).succeeds();
@@ -113,7 +113,7 @@ fn colour_without_depth_is_left_out_or_refused() {
     assert!(answer.err.contains(words), "{answer:?}");
     assert!(answer.out.contains("5 of 5 frames"), "{answer:?}");
     let report = fs::read_to_string(bench.out().join("report.html")).expect("a report");
-    assert!(report.contains(words), "the report knows");
+    assert!(report.contains(words), "in the report");
     bench.write("depth.txt", "7 depth/0.000000.png\n");
     bench
         .run(&[])
@@ -121,7 +121,7 @@ fn colour_without_depth_is_left_out_or_refused() {
 }
 
 #[test]
-fn cameras_that_cannot_be() {
+fn invalid_cameras_are_reported() {
     let row = "160 120 131.25 131.25 80.1875 58.625 5000 30";
     let cases = [
         (
@@ -178,10 +178,10 @@ fn ground_truth_is_read_strictly() {
     );
 }
 
-/// A camera that no one could build, and the numbers it leads to: the map is not written, which is
-/// the error; everything else is.
+/// An absurd camera leads to numbers that are not finite: the map is not written, which is the error;
+/// everything else is written.
 #[test]
-fn a_map_that_cannot_be_written_keeps_nothing_else_back() {
+fn an_invalid_map_does_not_prevent_other_results() {
     let bench = Bench::new();
     bench.replace("camera.txt", "131.25 131.25", "1e300 1e300");
     let words = ["map.ply: not written", "not finite"];

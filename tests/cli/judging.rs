@@ -1,4 +1,4 @@
-//! `garad eval trajectory` on paths whose errors are known by hand.
+//! `garad eval trajectory` on trajectories with known errors.
 
 use std::fs;
 
@@ -15,7 +15,7 @@ fn path(positions: &[[f64; 3]]) -> String {
     text
 }
 
-/// A bent path, so that its alignment is unique.
+/// A path with bends, so that its alignment is unique.
 const TRUTH: [[f64; 3]; 5] = [
     [0.0, 0.0, 0.0],
     [1.0, 0.0, 0.0],
@@ -47,7 +47,7 @@ fn assert_close(value: &Value, expected: f64) {
     );
 }
 
-/// Every number in it is one (JSON has no NaN: it would be null).
+/// All numbers are finite (JSON has no NaN: it would be null).
 fn assert_no_null(value: &Value) {
     match value {
         Value::Object(map) => map.values().for_each(assert_no_null),
@@ -82,7 +82,7 @@ fn a_path_against_itself() {
 }
 
 #[test]
-fn alignment_takes_out_what_it_says() {
+fn alignment_removes_motion_and_scale() {
     let moved = TRUTH.map(|[x, y, z]| [x + 3.0, y, z - 4.0]);
     let bench = bench_with(&path(&moved));
     assert_close(&judge(&bench, &["--align", "none"])["ate"]["rmse"], 5.0);
@@ -117,7 +117,7 @@ fn a_plot_on_request() {
 }
 
 #[test]
-fn bad_paths_are_named() {
+fn bad_trajectories_are_reported() {
     let good = path(&TRUTH);
     let cases = [
         (

@@ -1,11 +1,11 @@
-//! Labels found on the way, parts left out, and what each earns.
+//! Computed labels, parts left out, and `garad ablate`.
 
 use std::fs;
 
 use crate::support::{Bench, arg, garad, metrics, run_into, walking};
 
 #[test]
-fn labels_are_written_and_judged_by_the_recordings_own_masks() {
+fn labels_are_written_and_judged_by_the_masks_of_the_recording() {
     let bench = Bench::empty();
     let answer = run_into(walking(), &bench.out(), &[]).succeeds();
     assert!(answer.out.contains("labels     keypoints"), "{answer:?}");
@@ -15,7 +15,7 @@ fn labels_are_written_and_judged_by_the_recordings_own_masks() {
     assert_eq!(rows.next(), Some("frame,x_px,y_px,moves"), "a head");
     let row: Vec<&str> = rows.next().expect("a keypoint").split(',').collect();
     let first: usize = row[0].parse().expect("a frame");
-    assert_eq!(first, 0, "the first frames, too, at second sight");
+    assert_eq!(first, 0, "the first frames, too, in their second pass");
     let mask = image::open(labels.join(format!("masks/{first:06}.png"))).expect("a mask");
     assert_eq!((mask.width(), mask.height()), (40, 30), "4 x 4 pixels each");
     let gaussians = fs::read_to_string(labels.join("gaussians.csv")).expect("counts");
@@ -57,7 +57,7 @@ fn parts_can_be_left_out() {
 }
 
 #[test]
-fn what_each_part_earns() {
+fn ablation_runs_every_variant() {
     let bench = Bench::empty();
     let out = bench.out();
     let answer = garad(["ablate", arg(walking()), "--quiet", "-o", arg(&out)]).succeeds();

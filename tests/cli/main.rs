@@ -1,6 +1,6 @@
-//! The `garad` program as its users meet it: what it writes, and what it says of bad input.
+//! The `garad` program: its results, and its messages about bad input.
 //!
-//! The recordings are tiny and made by `garad synth`; each test damages a copy of its own.
+//! The recordings are tiny and made by `garad synth`; each test damages its own copy.
 
 mod archives;
 mod bad_frames;

@@ -1,4 +1,4 @@
-//! `garad render`: pictures of a map, and a proof that poses, camera and map agree on conventions.
+//! `garad render`: images of a map, and a check that poses, camera and map agree on conventions.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -22,8 +22,8 @@ pub(crate) fn render(map: &Path, to: &Path, options: &[&str]) -> Answer {
     garad(command.iter().chain(&camera).chain(options))
 }
 
-fn picture(path: PathBuf) -> RgbImage {
-    image::open(path).expect("a picture").to_rgb8()
+fn read_image(path: PathBuf) -> RgbImage {
+    image::open(path).expect("an image").to_rgb8()
 }
 
 /// Peak signal-to-noise ratio in dB over all three colours.
@@ -47,7 +47,7 @@ fn poses(path: &Path) -> Vec<(String, String)> {
 }
 
 #[test]
-fn pictures_along_a_path_and_from_a_pose() {
+fn images_along_a_trajectory_and_from_a_pose() {
     let bench = mapped();
     let (map, path) = (
         bench.out().join("map.ply"),
@@ -58,7 +58,7 @@ fn pictures_along_a_path_and_from_a_pose() {
     let trajectory = ["--trajectory", arg(&path), "--every", "13"];
     render(&map, &all, &[&what[..], &trajectory].concat()).succeeds();
     let mut names: Vec<_> = fs::read_dir(&all)
-        .expect("pictures")
+        .expect("images")
         .map(|entry| {
             entry
                 .expect("an entry")
@@ -73,7 +73,7 @@ fn pictures_along_a_path_and_from_a_pose() {
         .collect();
     assert_eq!(names, expected, "every 13th of 40 poses, three of each");
     for name in &names {
-        let size = picture(all.join(name)).dimensions();
+        let size = read_image(all.join(name)).dimensions();
         assert_eq!(size, (160, 120), "{name}");
     }
     // The same pose by hand, on other numbers of threads: the same bytes.
@@ -81,24 +81,24 @@ fn pictures_along_a_path_and_from_a_pose() {
     for threads in ["1", "3"] {
         let one = bench.path("one");
         render(&map, &one, &["--pose", pose, "--threads", threads]).succeeds();
-        let bytes = |path: PathBuf| fs::read(path).expect("a picture");
+        let bytes = |path: PathBuf| fs::read(path).expect("an image");
         let same = bytes(one.join("000000_color.png")) == bytes(all.join("000001_color.png"));
         assert!(same, "{threads} thread(s)");
     }
 }
 
-/// From where the first keyframe stood the map looks like its picture. Later, the estimated pose
-/// explains the picture better than no motion at all does, and far better than its inverse: that
-/// sets `world_from_camera` apart from `camera_from_world` in every file in between.
+/// From the pose of the first keyframe the map looks like its image. Later, the estimated pose explains
+/// the image better than no motion at all, and far better than its inverse: this distinguishes
+/// `world_from_camera` from `camera_from_world` in every file in between.
 #[test]
-fn the_map_looks_like_the_pictures_it_was_made_of() {
+fn the_map_looks_like_the_recorded_images() {
     let bench = mapped();
     let map = bench.out().join("map.ply");
-    let input = |time: &str| picture(long().join(format!("rgb/{time}.png")));
+    let input = |time: &str| read_image(long().join(format!("rgb/{time}.png")));
     let seen_from = |pose: &str| {
         let to = bench.path("view");
         render(&map, &to, &["--pose", pose]).succeeds();
-        picture(to.join("000000_color.png"))
+        read_image(to.join("000000_color.png"))
     };
     let (time, pose) = &poses(&bench.out().join("keyframes.txt"))[0];
     let first = psnr_db(&seen_from(pose), &input(time));
@@ -157,7 +157,7 @@ fn a_selection_of_gaussians() {
             "0 0 0 0 0 0 1",
         ];
         render(&map, &to, &what).succeeds();
-        picture(to.join("000000_opacity.png"))
+        read_image(to.join("000000_opacity.png"))
     };
     assert!(view("dynamic").iter().all(|v| *v == 0), "nothing moves");
     assert!(view("all") == view("static"), "everything is static");
@@ -165,14 +165,14 @@ fn a_selection_of_gaussians() {
 }
 
 #[test]
-fn slips_are_named() {
+fn mistakes_are_reported() {
     let bench = mapped();
     let map = bench.out().join("map.ply");
     let camera = bench.path("camera.txt");
     let empty = bench.path("empty.txt");
     fs::write(&empty, "# nothing\n").expect("written");
     fs::write(&camera, "160 120 131 131 80\n").expect("written");
-    let out = bench.path("pictures");
+    let out = bench.path("images");
     let (map, out) = (arg(&map), arg(&out));
     let right = ["render", map, "-o", out];
     let pose = ["--pose", "0 0 0 0 0 0 1"];

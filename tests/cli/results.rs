@@ -1,4 +1,4 @@
-//! `garad run`: what it leaves behind, and that the same input leaves the same bytes.
+//! `garad run`: its results, and that the same input gives the same bytes.
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +10,7 @@ use crate::support::{
     walking,
 };
 
-/// Keys of metrics.json that machines rely on.
+/// Keys of metrics.json.
 const KEYS: &[&str] = &[
     "/frames",
     "/tracked",
@@ -43,7 +43,7 @@ const KEYS: &[&str] = &[
     "/timing/frame/calls",
 ];
 
-/// Those that every recording with ground truth gives.
+/// Keys with a number for every recording with ground truth.
 const JUDGED: &[&str] = &[
     "/frames",
     "/tracked",
@@ -63,7 +63,7 @@ const JUDGED: &[&str] = &[
 ];
 
 #[test]
-fn a_run_leaves_everything() {
+fn a_run_writes_all_results() {
     let bench = Bench::empty();
     let answer = run_into(long(), &bench.out(), &[]).succeeds();
     for words in ["40 of 40 frames", "ATE [m]", "RPE", "results in"] {
@@ -99,7 +99,7 @@ fn a_run_leaves_everything() {
     }
     assert_eq!(metrics["ate"]["pairs"], 40, "{metrics}");
     let ate = metrics["ate"]["rmse_m"].as_f64().expect("judged");
-    assert!(ate < 0.05, "{ate} m, from pictures of 160x120");
+    assert!(ate < 0.05, "{ate} m, from images of 160x120");
     check_report(&bench.out(), "quiet_desk_40");
 }
 
@@ -126,7 +126,7 @@ fn every_iteration_of_training_has_its_loss() {
     }
 }
 
-/// One page that needs nothing but itself.
+/// The page is complete and refers to no other file.
 fn check_report(out: &Path, name: &str) {
     let report = fs::read_to_string(out.join("report.html")).expect("a report");
     assert!(
@@ -154,7 +154,7 @@ fn check_report(out: &Path, name: &str) {
 
 #[cfg(unix)] // elsewhere such names do not exist
 #[test]
-fn names_of_recordings_do_no_harm_in_the_report() {
+fn names_of_recordings_are_escaped_in_the_report() {
     let bench = Bench::empty();
     let odd = bench.path("<img src=x>&\"'");
     crate::support::copy(short(), &odd);
@@ -184,9 +184,9 @@ fn the_same_bytes_on_any_number_of_threads_and_again() {
     }
 }
 
-/// Where no place is given, results go to `out/NAME`; a second run replaces the first.
+/// Without `-o`, results go to `out/NAME`; a second run replaces the first.
 #[test]
-fn results_have_a_place_of_their_own() {
+fn results_have_a_default_folder() {
     let bench = Bench::new();
     let run = |options: &[&str]| {
         let mut command = program();
@@ -227,7 +227,7 @@ fn without_ground_truth_nothing_is_judged() {
     assert!(report.contains(words), "the report says so");
 }
 
-/// Masks by a name inside the recording, by a path, and of nothing.
+/// Masks inside the recording, by path, and missing.
 #[test]
 fn true_labels_are_used() {
     let bench = Bench::empty();

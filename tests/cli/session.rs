@@ -1,4 +1,4 @@
-//! A run put aside and resumed, tracking in a finished map, and what is said of sessions that are no good.
+//! Runs saved and resumed, tracking in a finished map, and messages about invalid sessions.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use crate::support::{
     walking,
 };
 
-/// Labels, too, must not change.
+/// The same results and labels.
 #[track_caller]
 fn assert_same_run(a: &Path, b: &Path) {
     assert_same_results(a, b);
@@ -25,8 +25,8 @@ fn assert_same_run(a: &Path, b: &Path) {
     }
 }
 
-/// The first eleven frames of [`walking`], put aside: a folder to copy from.
-fn put_aside() -> &'static Path {
+/// A session after the first eleven frames of [`walking`]: a folder to copy from.
+fn saved() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     FOLDER.get_or_init(|| {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("session");
@@ -65,32 +65,27 @@ fn resume(bench: &Bench, session: &Path, options: &[&str]) -> Answer {
     bench.run_on(walking(), &options)
 }
 
-/// A calibration for pictures of the size of [`walking`], but not theirs.
+/// Another calibration for images of the size of [`walking`].
 fn other_lens(bench: &Bench) -> PathBuf {
     let path = bench.path("lens.txt");
     fs::write(&path, "160 120 99 99 80 60 5000 30\n").expect("written");
     path
 }
 
-/// A copy of [`put_aside`] to be damaged.
+/// A copy of [`saved`] to be damaged.
 fn own(bench: &Bench) -> PathBuf {
     let session = bench.path("session");
-    copy(put_aside(), &session);
+    copy(saved(), &session);
     session
 }
 
 #[test]
-fn a_run_in_two_parts_ends_like_a_run_in_one() {
+fn a_resumed_run_equals_an_uninterrupted_run() {
     let bench = Bench::empty();
     let whole = bench.path("whole");
     run_into(walking(), &whole, &["--refine", "5"]).succeeds();
     for threads in ["1", "2"] {
-        resume(
-            &bench,
-            put_aside(),
-            &["--refine", "5", "--threads", threads],
-        )
-        .succeeds();
+        resume(&bench, saved(), &["--refine", "5", "--threads", threads]).succeeds();
         assert_same_run(&whole, &bench.out());
         let figures = metrics(&bench.out());
         assert_eq!(figures["frames"], 12, "those of the first part count");
@@ -103,7 +98,7 @@ fn a_run_in_two_parts_ends_like_a_run_in_one() {
 }
 
 #[test]
-fn given_masks_must_be_given_again() {
+fn oracle_masks_must_be_given_again() {
     let bench = Bench::empty();
     let (whole, session) = (bench.path("whole"), bench.path("session"));
     let masks = ["--oracle-labels", "mask"];
@@ -121,7 +116,7 @@ fn given_masks_must_be_given_again() {
 }
 
 #[test]
-fn a_run_in_many_parts_keeps_one_session() {
+fn repeated_saves_keep_one_state() {
     let bench = Bench::empty();
     let (whole, session) = (bench.path("whole"), bench.path("session"));
     run_into(walking(), &whole, &[]).succeeds();
@@ -135,20 +130,20 @@ fn a_run_in_many_parts_keeps_one_session() {
         options = vec!["--save-session", arg(&session), "--resume", arg(&session)];
     }
     assert_same_run(&whole, &bench.out());
-    let page = fs::read_to_string(session.join("session.json")).expect("the page");
-    let page: serde_json::Value = serde_json::from_str(&page).expect("JSON");
-    assert_eq!(page["frames_done"], 12, "{page}");
-    assert_eq!(page["recording"], "walking_12", "{page}");
+    let header = fs::read_to_string(session.join("session.json")).expect("the header");
+    let header: serde_json::Value = serde_json::from_str(&header).expect("JSON");
+    assert_eq!(header["frames_done"], 12, "{header}");
+    assert_eq!(header["recording"], "walking_12", "{header}");
     let keyframes = fs::read_to_string(whole.join("keyframes.txt")).expect("keyframes");
     let count = keyframes
         .lines()
         .filter(|line| !line.starts_with('#'))
         .count();
-    assert_eq!(page["keyframes"], count, "{page}");
+    assert_eq!(header["keyframes"], count, "{header}");
 }
 
 #[test]
-fn a_frame_left_out_stays_left_out() {
+fn skipped_frames_stay_skipped() {
     let bench = Bench::new();
     let (whole, session) = (bench.path("whole"), bench.path("session"));
     let depth = bench.read("depth.txt");
@@ -156,7 +151,7 @@ fn a_frame_left_out_stays_left_out() {
     let file = file
         .and_then(|line| line.split_whitespace().nth(1))
         .expect("a file");
-    bench.write(file, "no picture");
+    bench.write(file, "no image");
     run_into(&bench.rec(), &whole, &[]).succeeds();
     bench
         .run(&["--max-frames", "4", "--save-session", arg(&session)])
@@ -166,16 +161,16 @@ fn a_frame_left_out_stays_left_out() {
     assert_eq!(
         metrics(&bench.out())["frames"],
         6,
-        "five and the one left out"
+        "five and the skipped one"
     );
 }
 
 #[test]
-fn what_is_not_as_it_was_then_is_named() {
+fn differences_from_the_session_are_reported() {
     let bench = Bench::empty();
     let few = bench.path("few.toml");
     fs::write(&few, "[features]\ncount = 700\n").expect("written");
-    let session = put_aside();
+    let session = saved();
     let differs = |options: &[&str], words: &[&str]| {
         resume(&bench, session, options).fails_with(words);
     };
@@ -200,7 +195,7 @@ fn what_is_not_as_it_was_then_is_named() {
     // The same times, the same camera, another scene.
     bench
         .run_on(&recording("quiet_desk", 12), &options)
-        .fails_with(&["frame 0", "something else", "walking_12"]);
+        .fails_with(&["frame 0", "differs from that of", "walking_12"]);
     assert!(
         !bench.out().join("trajectory.txt").exists(),
         "nothing was run"
@@ -208,7 +203,7 @@ fn what_is_not_as_it_was_then_is_named() {
 }
 
 #[test]
-fn damaged_sessions_are_named() {
+fn damaged_sessions_are_reported() {
     let bench = Bench::empty();
     let session = own(&bench);
     let file = state(&session);
@@ -245,16 +240,16 @@ fn damaged_sessions_are_named() {
 }
 
 #[test]
-fn damaged_pages_are_named() {
+fn damaged_headers_are_reported() {
     let bench = Bench::empty();
     let session = own(&bench);
-    let page = session.join("session.json");
-    let good = fs::read_to_string(&page).expect("the page");
+    let header = session.join("session.json");
+    let good = fs::read_to_string(&header).expect("the header");
     let refused = |text: &str, words: &[&str]| {
-        fs::write(&page, text).expect("written");
+        fs::write(&header, text).expect("written");
         resume(&bench, &session, &[]).fails_with(&[&["session.json"], words].concat());
     };
-    refused("{", &["expected the page about a session"]);
+    refused("{", &["expected the header of a session"]);
     refused("{\"program\": \"another\"}", &["missing field"]);
     let version = format!("\"program\": \"{}\"", env!("CARGO_PKG_VERSION"));
     assert!(good.contains(&version), "{good}");
@@ -274,7 +269,7 @@ fn damaged_pages_are_named() {
 }
 
 #[test]
-fn a_folder_that_holds_something_else_is_not_touched() {
+fn folders_with_other_files_are_not_touched() {
     let bench = Bench::empty();
     let folder = bench.path("letters");
     fs::create_dir(&folder).expect("made");
@@ -293,7 +288,7 @@ fn a_folder_that_holds_something_else_is_not_touched() {
 }
 
 #[test]
-fn an_older_session_outlives_a_save_that_fails() {
+fn a_failed_save_keeps_the_older_session() {
     let bench = Bench::empty();
     let session = own(&bench);
     let before = fs::read(state(&session)).expect("read");
@@ -318,7 +313,7 @@ fn an_older_session_outlives_a_save_that_fails() {
 }
 
 #[test]
-fn a_finished_map_is_tracked_in() {
+fn localisation_in_a_finished_map() {
     let bench = Bench::empty();
     let (mapped, session) = (bench.path("mapped"), bench.path("session"));
     run_into(long(), &mapped, &["--save-session", arg(&session)]).succeeds();
@@ -350,10 +345,10 @@ fn a_finished_map_is_tracked_in() {
 }
 
 #[test]
-fn another_room_is_not_found_in_the_map() {
+fn localisation_fails_in_another_room() {
     let bench = Bench::empty();
     let other = recording("quiet_desk", 12);
-    let answer = bench.run_on(&other, &["--localise", arg(put_aside())]);
+    let answer = bench.run_on(&other, &["--localise", arg(saved())]);
     let answer = answer.fails_with(&["no frame could be tracked"]);
     assert!(
         answer.out.contains("tracked    0 of 12 frames"),
@@ -366,6 +361,6 @@ fn another_room_is_not_found_in_the_map() {
         answer.fails_with(&["cannot be used with"]);
     }
     let lens = other_lens(&bench);
-    let options = ["--calibration", arg(&lens), "--localise", arg(put_aside())];
+    let options = ["--calibration", arg(&lens), "--localise", arg(saved())];
     bench.run_on(walking(), &options).fails_with(&["camera.cx"]);
 }

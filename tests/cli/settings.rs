@@ -1,11 +1,11 @@
-//! `--config`: every slip by file and line; what a run used can be given back.
+//! `--config`: mistakes are reported with file and line; the written configuration reproduces the run.
 
 use std::fs;
 
 use crate::support::{Bench, arg, assert_same_results, run_into, short};
 
 #[test]
-fn slips_are_named_by_line() {
+fn mistakes_are_reported_with_their_line() {
     let bench = Bench::empty();
     let file = bench.path("settings.toml");
     let cases: &[(&str, &[&str])] = &[
@@ -45,7 +45,7 @@ fn slips_are_named_by_line() {
 }
 
 #[test]
-fn what_a_run_used_gives_the_same_run() {
+fn the_written_configuration_gives_the_same_run() {
     let bench = Bench::empty();
     let file = bench.path("settings.toml");
     fs::write(&file, "[features]\ncount = 300\n").expect("written");

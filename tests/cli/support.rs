@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 
 use tempfile::TempDir;
 
-/// What the program answered.
+/// Exit code and output of the program.
 #[derive(Debug)]
 pub(crate) struct Answer {
     pub(crate) code: Option<i32>,
@@ -15,7 +15,7 @@ pub(crate) struct Answer {
     pub(crate) err: String,
 }
 
-/// Runs the program; a panic or a death by signal fails the test at once.
+/// Runs the program; a panic or a signal fails the test at once.
 pub(crate) fn garad<S: AsRef<std::ffi::OsStr>>(args: impl IntoIterator<Item = S>) -> Answer {
     answer(program().args(args))
 }
@@ -30,7 +30,7 @@ pub(crate) fn answer(command: &mut Command) -> Answer {
         stdout,
         stderr,
     } = command.output().expect("the program starts");
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("the program speaks UTF-8");
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
     let answer = Answer {
         code: status.code(),
         out: text(stdout),
@@ -79,8 +79,8 @@ impl Answer {
 
 /// A scene of 160x120 pixels, made once.
 ///
-/// It lies in the build folder and is written anew by every run of the tests: the same bytes, each
-/// file at once, so that two runs at a time do not disturb each other.
+/// It is in the build folder and is rewritten by every run of the tests with the same bytes, each file
+/// atomically, so that simultaneous runs do not disturb each other.
 pub(crate) fn recording(scene: &str, frames: usize) -> PathBuf {
     let name = format!("{scene}_{frames}");
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"))
@@ -110,7 +110,7 @@ pub(crate) fn walking() -> &'static Path {
     FOLDER.get_or_init(|| recording("walking", 12))
 }
 
-/// Where a test works: a recording of its own to damage, and a place for results.
+/// The folder of a test: its own recording, to be damaged, and the results.
 #[derive(Debug)]
 pub(crate) struct Bench {
     folder: TempDir,
@@ -183,7 +183,7 @@ pub(crate) fn run_into(recording: &Path, out: &Path, options: &[&str]) -> Answer
     answer(command.arg("--quiet").args(options))
 }
 
-/// What must not change when nothing that matters does.
+/// Results that must be the same bytes for the same input.
 pub(crate) const STABLE: [&str; 5] = [
     "trajectory.txt",
     "keyframes.txt",

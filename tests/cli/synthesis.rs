@@ -1,4 +1,4 @@
-//! `garad synth`: the layout of what it makes, which `garad run` reads everywhere else here.
+//! `garad synth`: the layout of the recording.
 
 use std::fs;
 
@@ -6,7 +6,7 @@ use garad_golden::{Dtype, npy};
 
 use crate::support::{Bench, answer, arg, garad, program, walking};
 
-/// Lines that are no comments.
+/// Lines without comments.
 fn lines(text: &str) -> Vec<&str> {
     text.lines().filter(|line| !line.starts_with('#')).collect()
 }
@@ -64,11 +64,10 @@ fn a_recording_in_tum_layout() {
             mask.iter().all(|v| [0, 255].contains(v)),
             "{time}: moving or not"
         );
-        assert!(mask.contains(&255), "{time}: a person is in the picture");
+        assert!(mask.contains(&255), "{time}: a person is in the image");
     }
 }
 
-/// What moves moves by more than what stands, and what stands moves as a small camera motion has it.
 #[test]
 fn flow_is_an_array_of_numpy() {
     let bench = Bench::empty();
@@ -143,7 +142,7 @@ fn scenes_are_the_same_on_any_number_of_threads() {
     }
 }
 
-/// Everything that stands is where it was; what moved is gone.
+/// The same camera path, and no moving objects.
 #[test]
 fn the_twin_without_movers() {
     let bench = Bench::empty();

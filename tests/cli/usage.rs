@@ -21,7 +21,7 @@ fn help_and_version() {
 }
 
 #[test]
-fn slips_in_a_command_are_named() {
+fn mistakes_in_a_command_are_reported() {
     let bench = Bench::empty();
     let (rec, out) = (arg(short()).to_owned(), bench.out());
     let out = arg(&out);
@@ -87,9 +87,9 @@ fn slips_in_a_command_are_named() {
     assert!(!bench.out().exists(), "nothing was written");
 }
 
-/// `garad ... 2>&1 | head` closes both streams; the results are what matters.
+/// `garad ... 2>&1 | head` closes both streams; results are written all the same.
 #[test]
-fn readers_may_leave_early() {
+fn closed_streams_are_ignored() {
     let bench = Bench::new();
     let mut child = program()
         .args(["run", arg(&bench.rec()), "-o", arg(&bench.out())])
@@ -104,7 +104,7 @@ fn readers_may_leave_early() {
     assert!(bench.out().join("report.html").is_file(), "results");
 }
 
-/// Results go where they can be written, and that is found out before the work.
+/// An unwritable folder is reported before the work.
 #[test]
 fn a_file_in_the_way_of_the_results() {
     let bench = Bench::new();

@@ -70,8 +70,7 @@ pub(crate) fn bonn(inputs: &Inputs) -> Answer {
 
 pub(crate) fn ply(inputs: &Inputs) -> Answer {
     let mut file = inputs.bytes("file")?;
-    let bytes = file.len() as u64;
-    let map = parse_ply(Path::new("case.ply"), &mut file, bytes)?;
+    let map = parse_ply(Path::new("case.ply"), &mut file)?;
     let mut out = Outputs::default();
     out.put("means", map.means.iter().copied());
     let coefficients = [map.len(), map.coefficients()];

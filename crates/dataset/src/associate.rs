@@ -6,14 +6,13 @@ use std::collections::BinaryHeap;
 /// Pairs two ascending lists of times one to one, closest pairs first.
 ///
 /// Greedy: of all pairs not more than `max_dt_s` apart the closest is taken (ties: the earlier
-/// `a`), both times leave, and so on. This is what the TUM benchmark's `associate.py` computes;
-/// it excludes |dt| = `max_dt_s`, which is included here. Returned are index pairs, ascending
+/// `a`), both times are removed, and so on. This is what the TUM benchmark's `associate.py`
+/// computes; it excludes |dt| = `max_dt_s`, which is included here. Returned are index pairs, ascending
 /// in `a`.
 ///
-/// The closest pair left is always made of neighbours in the merged list, since whatever lay
-/// between two times would be closer to one of them. So neighbours wait in a heap, and when a
-/// pair leaves, those beside it become neighbours: O(n log n), however many times crowd into
-/// the window.
+/// The closest remaining pair always consists of neighbours in the merged list, since a time between
+/// two others would be closer to one of them. So a heap holds pairs of neighbours, and when a pair is
+/// removed, the times beside it become neighbours: O(n log n), however many times lie in the window.
 ///
 /// # Shapes and units
 /// `a`, `b` seconds, strictly ascending.
@@ -38,7 +37,7 @@ pub fn associate(a: &[f64], b: &[f64], max_dt_s: f64) -> Vec<(usize, usize)> {
             continue;
         }
         pairs.push((closest.a, closest.b));
-        if let Some(bridge) = merged.take_out(left, right) {
+        if let Some(bridge) = merged.remove(left, right) {
             heap.extend(merged.pair(bridge, max_dt_s).map(Reverse));
         }
     }
@@ -46,7 +45,7 @@ pub fn associate(a: &[f64], b: &[f64], max_dt_s: f64) -> Vec<(usize, usize)> {
     pairs
 }
 
-/// Both lists in one, ascending in time, doubly linked so that pairs can leave.
+/// Both lists in one, ascending in time, doubly linked so that pairs can be removed.
 struct Merged {
     nodes: Vec<Node>,
     next: Vec<usize>,
@@ -66,7 +65,7 @@ const END: usize = usize::MAX;
 /// Two neighbours of different lists, ordered by distance, then by index.
 #[derive(PartialEq, Eq, PartialOrd, Ord)]
 struct Pair {
-    dt_bits: u64, // of a number that is not negative: ordered as the number is
+    dt_bits: u64, // of a non-negative number: ordered as the number
     a: usize,
     b: usize,
     left: usize,
@@ -88,7 +87,7 @@ impl Merged {
         }
     }
 
-    /// The node with its right neighbour, if they may be a pair.
+    /// The node with its right neighbour, if they can be a pair.
     fn pair(&self, left: usize, max_dt_s: f64) -> Option<Pair> {
         let right = self.next[left];
         if right == END {
@@ -108,8 +107,8 @@ impl Merged {
         })
     }
 
-    /// Takes two neighbours out; the node on their left, if it has a new neighbour.
-    fn take_out(&mut self, left: usize, right: usize) -> Option<usize> {
+    /// Removes two neighbours; returns the node on their left, if it has a new neighbour.
+    fn remove(&mut self, left: usize, right: usize) -> Option<usize> {
         self.gone[left] = true;
         self.gone[right] = true;
         let (before, after) = (self.previous[left], self.next[right]);
@@ -187,13 +186,13 @@ mod tests {
         assert_eq!(bits(&[1.0], &[]), f64::INFINITY.to_bits(), "none");
     }
 
-    /// Crowded lists: every pair lies in the window, ten thousand million of them.
+    /// All 1e10 pairs lie in the window.
     #[test]
-    fn a_crowd_takes_no_time() {
+    fn dense_lists_are_fast() {
         let a: Vec<f64> = (0..100_000).map(|i| f64::from(i) * 1e-8).collect();
         let b: Vec<f64> = a.iter().map(|t| t + 3e-9).collect();
         let pairs = associate(&a, &b, 1.0);
-        assert!(pairs.iter().all(|(i, j)| i == j), "each with its own");
+        assert!(pairs.iter().all(|(i, j)| i == j), "each with its neighbour");
         assert_eq!(pairs.len(), a.len(), "all");
     }
 

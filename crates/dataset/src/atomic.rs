@@ -1,14 +1,14 @@
 //! Files that are written whole or not at all.
 
 use std::ffi::OsString;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File};
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use crate::errors::DatasetError;
 
-/// Writes a file under a temporary name beside its place, then renames it: a reader sees the
-/// old content or the new, never half of it, also when the disk fills up or the run is ended.
+/// Writes a file under a temporary name in the same folder, then renames it: a reader sees the old
+/// content or the new, never a part of it, also when the disk fills up or the run is stopped.
 ///
 /// # Errors
 /// [`DatasetError::Io`] from the file system or from `write`; nothing is left behind then.
@@ -17,14 +17,14 @@ pub fn write_atomically(
     write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<(), DatasetError> {
     let attempt = || {
-        let (temporary, file) = create_beside(path)?;
-        let mut out = BufWriter::new(file);
+        let temporary = temporary_name(path)?;
+        let mut out = BufWriter::new(File::create(&temporary)?);
         let written = write(&mut out)
             .and_then(|()| out.into_inner().map_err(io::IntoInnerError::into_error))
             .and_then(|file| file.sync_all())
             .and_then(|()| fs::rename(&temporary, path));
         if written.is_err() {
-            // The first error is the one to tell; this one would say the same.
+            // The first error is the one to report.
             let _ = fs::remove_file(&temporary);
         }
         written
@@ -32,30 +32,15 @@ pub fn write_atomically(
     attempt().map_err(DatasetError::io(path))
 }
 
-/// A file that did not exist before, in the same folder: renaming works within a disk alone.
-fn create_beside(path: &Path) -> io::Result<(PathBuf, File)> {
-    let name = path
-        .file_name()
-        .ok_or_else(|| io::Error::new(ErrorKind::InvalidInput, "no file name"))?;
-    for attempt in 0..1000 {
-        let mut hidden = OsString::from(".");
-        hidden.push(name);
-        hidden.push(format!(".part{attempt}"));
-        let temporary = path.with_file_name(hidden);
-        match OpenOptions::new()
-            .write(true)
-            .create_new(true)
-            .open(&temporary)
-        {
-            Ok(file) => return Ok((temporary, file)),
-            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
-            Err(error) => return Err(error),
-        }
-    }
-    Err(io::Error::new(
-        ErrorKind::AlreadyExists,
-        "a thousand unfinished files lie beside it",
-    ))
+/// `.NAME.partPID` in the folder of the file: renaming works within one file system only, and no other
+/// running process writes to that name.
+fn temporary_name(path: &Path) -> io::Result<PathBuf> {
+    let no_name = || io::Error::new(ErrorKind::InvalidInput, "no file name");
+    let name = path.file_name().ok_or_else(no_name)?;
+    let mut hidden = OsString::from(".");
+    hidden.push(name);
+    hidden.push(format!(".part{}", std::process::id()));
+    Ok(path.with_file_name(hidden))
 }
 
 /// All bytes to one file; see [`write_atomically`].

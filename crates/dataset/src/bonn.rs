@@ -1,15 +1,15 @@
 //! BONN RGB-D Dynamic: from poses of the marker body to poses of the camera.
 //!
-//! `groundtruth.txt` of that data set holds poses of a motion-capture body on the sensor, in
-//! axes of their own. The data set publishes how to get from there to the camera:
+//! `groundtruth.txt` of that data set holds poses of a motion-capture body on the sensor, in other
+//! axes. The data set publishes the transformation to the camera:
 //!
 //! world_from_camera = A · T · A · T_m,   A (x, y, z) = (-x, z, y),
 //!
 //! with T a pose from the file. Results on BONN are usually published against the raw file; the
-//! two differ by up to 2 cm, as the camera turns about the body. Both can be had here.
+//! two differ by up to 2 cm, as the camera turns about the body.
 //!
-//! The 3x3 block of T_m is a rotation times 1.0593. The scale is no part of a rigid motion, so
-//! the nearest rotation stands in for the block. Depth then agrees with these poses if raw depth
+//! The 3x3 block of T_m is a rotation times 1.0593. A rigid motion has no scale, so the block is
+//! replaced by the nearest rotation. Depth then agrees with these poses if raw depth
 //! is divided by 5000 / 1.0593 = 4720.1 instead of 5000.
 
 use garad_core::{Se3, So3, StampedPose};
@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nearest_rotation_is_one_and_keeps_one() {
+    fn nearest_rotation_is_a_rotation_and_keeps_rotations() {
         let block = Matrix3::from_row_slice(&BODY_FROM_CAMERA.0);
         let r = nearest_rotation(&block);
         assert!(
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_between_poses_are_kept_but_for_the_lever() {
+    fn distances_are_kept_except_for_the_lever_arm() {
         let turn = |angle: f64| StampedPose {
             t_s: angle,
             world_from_camera: Se3::new(So3::exp(&Vector3::new(0.0, angle, 0.0)), Vector3::zeros()),

@@ -1,4 +1,4 @@
-//! [`Calibration`]: which camera, and what its depth images count in.
+//! [`Calibration`]: the camera and the unit of its depth images.
 //!
 //! # `camera.txt`
 //! Comments start with `#`. Either one row of numbers,
@@ -11,9 +11,9 @@
 //! is OpenCV's, depth in metres is raw / `depth_factor`.
 //!
 //! # Missing depth
-//! Raw 0 and 65535 are missing always. `depth_max_raw = N` makes all raw values from N on
+//! Raw 0 and 65535 are always missing. `depth_max_raw = N` makes all raw values from N on
 //! missing; without it N is 60000 where `depth_factor` is 1000 (7-Scenes and Kinect recordings
-//! in millimetres mark holes by values up there, and no such sensor sees 60 m).
+//! in millimetres mark holes by such values, and no such sensor measures 60 m).
 
 use std::path::Path;
 use std::str::FromStr;
@@ -22,7 +22,7 @@ use garad_core::Camera;
 use garad_core::camera::Distortion;
 
 use crate::errors::{DatasetError, excerpt};
-use crate::source::read_file;
+use crate::files::read_file;
 use crate::text::{Place, for_each_line, number};
 
 /// Names of the presets, for messages.
@@ -39,7 +39,7 @@ pub struct Calibration {
     pub fps: f64,
     /// Raw depth values from this one on are missing; 65535 always is.
     pub depth_max_raw: Option<u16>,
-    /// Where it came from, in words.
+    /// Where it came from, for messages.
     pub source: String,
 }
 
@@ -101,8 +101,8 @@ impl Preset {
         }
     }
 
-    /// The preset a recording's name speaks of: `rgbd_dataset_freiburg3_walking_xyz`,
-    /// `rgbd_bonn_crowd`, `fr1_desk`. Whole words alone count.
+    /// The preset named in the name of a recording: `rgbd_dataset_freiburg3_walking_xyz`,
+    /// `rgbd_bonn_crowd`, `fr1_desk`. Only whole words count.
     #[must_use]
     pub fn from_recording_name(name: &str) -> Option<Self> {
         name.split(|c: char| !c.is_ascii_alphanumeric())
@@ -145,9 +145,9 @@ const KEYS: [&str; 14] = [
     "k3",
     "depth_max_raw",
 ];
-/// A row ends here without distortion ...
+/// Numbers of a row without distortion.
 const ROW_SHORT: usize = 8;
-/// ... and here with it.
+/// Numbers of a row with distortion.
 const ROW_LONG: usize = 13;
 
 impl Calibration {
@@ -171,11 +171,11 @@ impl Calibration {
     }
 
     /// Reads a calibration from the bytes of its file; the format is in the
-    /// [module's words](self).
+    /// [module's documentation](self).
     ///
     /// # Errors
-    /// [`DatasetError::Line`] for an unknown or repeated key, a missing one (at the last line),
-    /// or a number that is none; [`DatasetError::Camera`] for one that cannot be.
+    /// [`DatasetError::Line`] for an unknown or repeated key, a missing one (at the last line), or
+    /// text that is not a number; [`DatasetError::Camera`] for an invalid number.
     pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, DatasetError> {
         let mut values = [None; KEYS.len()];
         let mut last_line = 1;
@@ -244,7 +244,7 @@ impl Calibration {
                 let whole = whole(at(13), value, f64::from(u16::MAX))?;
                 u16::try_from(whole).ok()
             }
-            #[allow(clippy::float_cmp, reason = "the file says 1000 or it does not")]
+            #[allow(clippy::float_cmp, reason = "exactly 1000")]
             None => (depth_factor == MILLIMETRES).then_some(MISSING_FROM_IN_MILLIMETRES),
         };
         Ok(Self {
@@ -257,9 +257,9 @@ impl Calibration {
     }
 }
 
-/// Depth factor of recordings in millimetres ...
+/// Depth factor of recordings in millimetres.
 const MILLIMETRES: f64 = 1000.0;
-/// ... and where their holes begin.
+/// Raw depth from which their pixels are missing.
 const MISSING_FROM_IN_MILLIMETRES: u16 = 60_000;
 
 /// Line and value of each key.
@@ -317,7 +317,7 @@ fn whole(place: Place<'_>, value: f64, largest: f64) -> Result<usize, DatasetErr
     if value >= 1.0 && value <= largest && value == value.trunc() {
         Ok(value as usize)
     } else {
-        Err(place.error(format!("{value}"), "a whole number that an image can have"))
+        Err(place.error(format!("{value}"), "a whole number in range"))
     }
 }
 
@@ -325,9 +325,9 @@ fn whole(place: Place<'_>, value: f64, largest: f64) -> Result<usize, DatasetErr
 mod tests {
     use super::*;
 
-    /// Seeded damage to good files: a camera or an error, never a panic.
+    /// A damaged file gives a camera or an error, never a panic.
     #[test]
-    fn damaged_files_do_no_harm() {
+    fn damaged_files_do_not_panic() {
         let good: [&[u8]; 2] = [
             b"# c\n640 480 535.4 539.2 320.1 247.6 5000 30 0.1 0.2 0.3 0.4 0.5\n",
             b"width = 640\r\nheight = 480\r\nfx = 1\nfy=2\ncx=3\ncy=4\ndepth_factor=1e3\nfps=30\n",
@@ -358,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn a_row_and_its_keys_say_the_same() {
+    fn a_row_equals_its_keys() {
         let parse = |text: &str| {
             let mut calibration =
                 Calibration::parse(Path::new("c"), text.as_bytes()).expect("good");
@@ -379,7 +379,7 @@ mod tests {
     }
 
     #[test]
-    fn millimetres_have_holes_at_sixty_metres() {
+    fn millimetres_are_missing_from_sixty_metres() {
         let parse = |factor: &str| {
             let text = format!("640 480 1 2 3 4 {factor} 30");
             Calibration::parse(Path::new("c"), text.as_bytes()).expect("good")

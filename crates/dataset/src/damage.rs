@@ -1,10 +1,10 @@
-//! Seeded damage to the bytes of a file, for tests: what disks, editors and enemies do.
+//! Seeded damage to the bytes of a file, for tests.
 
 use garad_core::Rng;
 
-/// One to four small changes: bits flipped, bytes set to telling values, cut, doubled, moved.
+/// One to four small changes: flipped bits, special bytes, cuts, repetitions, swaps.
 pub(crate) fn damage(bytes: &mut Vec<u8>, rng: &mut Rng) {
-    const TELLING: &[u8] = b"\0\x01\x7F\x80\xFF\n\r\t #-+.eE09/\\:n";
+    const SPECIAL: &[u8] = b"\0\x01\x7F\x80\xFF\n\r\t #-+.eE09/\\:n";
     for _ in 0..=rng.below(4) {
         if bytes.is_empty() {
             return;
@@ -13,7 +13,7 @@ pub(crate) fn damage(bytes: &mut Vec<u8>, rng: &mut Rng) {
         let length = 1 + rng.below((bytes.len() - at).min(16));
         match rng.below(6) {
             0 => bytes[at] ^= 1 << rng.below(8),
-            1 => bytes[at] = TELLING[rng.below(TELLING.len())],
+            1 => bytes[at] = SPECIAL[rng.below(SPECIAL.len())],
             2 => bytes.truncate(at),
             3 => {
                 let piece = bytes[at..at + length].to_vec();

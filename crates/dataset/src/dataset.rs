@@ -10,9 +10,9 @@ use crate::associate::{associate, closest_s};
 use crate::calibration::{Calibration, PRESETS, Preset};
 use crate::decode::{self, Origin};
 use crate::errors::DatasetError;
-use crate::frames::Frames;
+use crate::files::{clean_name, read_file};
 use crate::list::{Entry, parse_list};
-use crate::source::{Source, clean_name, read_file};
+use crate::source::Source;
 use crate::trajectory::parse_trajectory;
 
 /// The folder of a recording that holds its masks, if it has any.
@@ -40,7 +40,7 @@ pub struct OpenOptions {
     pub strict: bool,
     /// Read at most this many frames.
     pub max_frames: Option<usize>,
-    /// Leave this many frames out at the beginning.
+    /// Skip this many frames first.
     pub first_frame: usize,
 }
 
@@ -57,7 +57,7 @@ impl Default for OpenOptions {
     }
 }
 
-/// One moment: colour and depth of the same camera.
+/// Colour and depth of one moment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
     /// Position among the frames read, from 0.
@@ -91,14 +91,14 @@ struct Inner {
 impl Dataset {
     /// Opens a folder or an archive.
     ///
-    /// Colour and depth images are paired by time ([`associate`]); what has no partner is left
-    /// out and counted in the warnings. The camera comes from the first of: the calibration file
-    /// of the options; their preset; `camera.txt` or `calibration.toml` of the recording; the
-    /// preset that the recording's name speaks of. Which it was says [`Calibration::source`].
+    /// Colour and depth images are paired by time ([`associate`]); images without a partner are dropped
+    /// and counted in the warnings. The camera comes from the first of: the calibration file of the
+    /// options; their preset; `camera.txt` or `calibration.toml` of the recording; the preset in the
+    /// name of the recording. [`Calibration::source`] tells which.
     ///
     /// # Errors
-    /// [`DatasetError`] with file and line, when lists or calibration cannot be read or nothing
-    /// is left to read. Images are not decoded here; only the first header is looked at.
+    /// [`DatasetError`] with file and line, when lists or calibration cannot be read or no frame is
+    /// left. Images are not decoded here; only the header of the first one is read.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, DatasetError> {
         if !(options.max_dt_s >= 0.0 && options.max_dt_s.is_finite()) {
             return Err(DatasetError::Option {
@@ -124,7 +124,7 @@ impl Dataset {
             ground_truth,
             warnings,
         };
-        dataset.look_at_first().map(|inner| Self {
+        dataset.check_first().map(|inner| Self {
             inner: Arc::new(inner),
         })
     }
@@ -135,8 +135,8 @@ impl Dataset {
         &self.inner.name
     }
 
-    /// Whose conventions it follows: the preset of the options, or the one its name speaks of
-    /// (the calibration may still have come from a file).
+    /// The preset of the options, or the one in the name of the recording (the calibration may still
+    /// come from a file).
     #[must_use]
     pub fn preset(&self) -> Option<Preset> {
         self.inner.preset
@@ -154,7 +154,7 @@ impl Dataset {
         self.inner.pairs.len()
     }
 
-    /// Never true: a recording without frames does not open.
+    /// Never true: a recording without frames is an error.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.inner.pairs.is_empty()
@@ -173,7 +173,7 @@ impl Dataset {
         self.inner.ground_truth.as_deref()
     }
 
-    /// What was odd but not wrong, in words.
+    /// Warnings, one sentence each.
     #[must_use]
     pub fn warnings(&self) -> &[String] {
         &self.inner.warnings
@@ -186,19 +186,6 @@ impl Dataset {
     /// [`DatasetError::ImageSize`], [`DatasetError::TooLarge`], each with frame and file.
     pub fn read(&self, i: usize) -> Result<Frame, DatasetError> {
         self.inner.read(i)
-    }
-
-    /// All frames in order, decoded up to `prefetch` frames ahead on a thread of their own; with
-    /// 0 they are decoded when asked for, on the asking thread.
-    #[must_use]
-    pub fn frames(&self, prefetch: usize) -> Frames {
-        self.frames_from(0, prefetch)
-    }
-
-    /// [`Dataset::frames`] from frame `first` on; those before are not decoded.
-    #[must_use]
-    pub fn frames_from(&self, first: usize, prefetch: usize) -> Frames {
-        Frames::new(self.clone(), first, prefetch)
     }
 
     /// The mask of frame i from a folder of masks: `<timestamp as in rgb.txt>.png`, or named as
@@ -216,12 +203,12 @@ impl Dataset {
         })
     }
 
-    /// The mask of frame i from a folder of the recording itself, in an archive too; named and
-    /// valued as for [`Dataset::read_mask`]. `None` if the folder has none for this frame, or the
-    /// recording no such folder. By custom the folder is called [`MASK_FOLDER`].
+    /// The mask of frame i from a folder of the recording itself, archives included; names and values as
+    /// for [`Dataset::read_mask`]. `None` without such a folder or a mask for this frame. The usual folder
+    /// is [`MASK_FOLDER`].
     ///
     /// # Errors
-    /// [`DatasetError::NoSuchFrame`]; [`DatasetError::UnsafeName`] for a folder that leads out of the
+    /// [`DatasetError::NoSuchFrame`]; [`DatasetError::UnsafeName`] for a folder outside the
     /// recording; [`DatasetError::Image`], [`DatasetError::ImageSize`], [`DatasetError::TooLarge`],
     /// [`DatasetError::Archive`].
     pub fn read_own_mask(&self, folder: &str, i: usize) -> Result<Option<MaskImage>, DatasetError> {
@@ -254,7 +241,7 @@ impl Inner {
         })
     }
 
-    /// What the mask of frame i may be called, the first choice first; i is a frame.
+    /// Possible file names of the mask of frame i, which must exist; the preferred one first.
     fn mask_names(&self, i: usize) -> [String; 2] {
         let colour = &self.pairs[i].0;
         let stem = Path::new(&colour.file).file_stem().unwrap_or_default();
@@ -264,7 +251,7 @@ impl Inner {
         ]
     }
 
-    /// The first of the names that `read` knows, decoded; `locate` says how it is called in messages.
+    /// The first mask that `read` finds, decoded; `locate` gives the path for messages.
     fn find_mask(
         &self,
         i: usize,
@@ -334,9 +321,9 @@ impl Inner {
         origin.check_size(size, (camera.width, camera.height), &reference)
     }
 
-    /// The first header tells whether the camera fits at all, and what is converted. A first
-    /// image that cannot be read is left to [`Inner::read`], like any other.
-    fn look_at_first(mut self) -> Result<Self, DatasetError> {
+    /// Checks the size of the first image against the camera, and warns if its kind is converted. A
+    /// first image that cannot be read is left to [`Inner::read`], like any other.
+    fn check_first(mut self) -> Result<Self, DatasetError> {
         let (colour, _) = self.pair(0)?;
         let path = self.source.locate(&colour.file);
         let origin = Origin {
@@ -351,9 +338,9 @@ impl Inner {
         };
         self.check_size(origin, kind.size)?;
         let conversion = match kind.color {
-            ColorType::Rgba8 => "its alpha is left out",
-            ColorType::L8 => "grey stands for all three colours",
-            ColorType::La8 => "grey stands for all three colours, its alpha is left out",
+            ColorType::Rgba8 => "its alpha is dropped",
+            ColorType::L8 => "grey is used for all three colours",
+            ColorType::La8 => "grey is used for all three colours, its alpha is dropped",
             _ => return Ok(self),
         };
         self.warnings.push(format!(
@@ -393,7 +380,7 @@ fn choose_calibration(
     Ok(calibration)
 }
 
-/// Reads both lists and pairs them; cuts the result as the options say.
+/// Reads both lists and pairs them; drops the frames that the options exclude.
 fn pair_up(
     path: &Path,
     source: &Source,

@@ -1,7 +1,7 @@
 //! PNG and JPEG to images: kind, size and completeness checked, always within [`crate::limits`].
 //!
-//! PNG is lossless: its pixels are the same everywhere. What a JPEG decodes to is up to the
-//! decoder, within a unit or so; results on JPEG recordings are tied to this build's decoder.
+//! PNG is lossless: its pixels are the same everywhere. JPEG decoders differ by about one unit, so results
+//! on JPEG recordings depend on the decoder of this build.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -15,6 +15,8 @@ use crate::limits;
 const COLOUR: &str = "an 8-bit PNG or JPEG";
 const DEPTH: &str = "a 16-bit grey PNG";
 const MASK: &str = "an 8-bit grey PNG of 0 (static), 128 (unknown) and 255 (moving)";
+
+const WHOLE: &str = "a decoder returns every pixel of the size in its header";
 
 /// The file an image comes from, and the frame it belongs to, for messages.
 #[derive(Debug, Clone, Copy)]
@@ -53,7 +55,7 @@ impl Origin<'_> {
     }
 }
 
-/// What an image is before its pixels are decoded.
+/// The header of an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Kind {
     pub(crate) size: (usize, usize),
@@ -82,7 +84,7 @@ fn decoder<'a>(
     caps.max_image_height = Some(limits::IMAGE_SIDE_PX);
     caps.max_alloc = Some(limits::IMAGE_DECODED_BYTES);
     reader.limits(caps);
-    // A cut JPEG decodes into a picture with a grey end; only the missing end marker tells.
+    // A truncated JPEG decodes into an image with a grey end; only the end marker is missing.
     if format == ImageFormat::Jpeg && !bytes.windows(2).rev().any(|pair| pair == [0xFF, 0xD9]) {
         return Err(origin.error("it ends early", expected));
     }
@@ -147,8 +149,7 @@ pub(crate) fn colour(bytes: &[u8], origin: Origin<'_>) -> Result<RgbImage, Datas
         _ => bytes.iter().map(|&v| [v; 3]).collect(),
     };
     let (width, height) = kind.size;
-    RgbImage::from_vec(width, height, data)
-        .ok_or_else(|| origin.error("wrong number of pixels", COLOUR))
+    Ok(RgbImage::from_vec(width, height, data).expect(WHOLE))
 }
 
 /// Depth in metres: raw / `depth_factor`, computed in f64 and rounded once; 0 stays 0, raw
@@ -175,12 +176,11 @@ pub(crate) fn depth(
             0.0
         }
     };
-    // The decoder hands out 16-bit numbers in the machine's own order.
+    // The decoder returns 16-bit numbers in native byte order.
     let data = bytes.as_chunks().0.iter();
     let data = data.map(|&pair| metres(u16::from_ne_bytes(pair))).collect();
     let (width, height) = kind.size;
-    DepthImage::from_vec(width, height, data)
-        .ok_or_else(|| origin.error("wrong number of pixels", DEPTH))
+    Ok(DepthImage::from_vec(width, height, data).expect(WHOLE))
 }
 
 /// A mask: 255 moving, 0 static, 128 unknown.
@@ -198,8 +198,7 @@ pub(crate) fn mask(bytes: &[u8], origin: Origin<'_>) -> Result<MaskImage, Datase
         let problem = format!("value {} at pixel ({}, {})", data[i], i % width, i / width);
         return Err(origin.error(problem, MASK));
     }
-    MaskImage::from_vec(width, height, data)
-        .ok_or_else(|| origin.error("wrong number of pixels", MASK))
+    Ok(MaskImage::from_vec(width, height, data).expect(WHOLE))
 }
 
 /// `8-bit grey PNG`.

@@ -1,5 +1,4 @@
-//! [`DatasetError`]: what can be wrong with a recording, each with file, line or frame and what
-//! was expected instead.
+//! [`DatasetError`]: invalid recordings, each with file, line or frame and what was expected.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -7,47 +6,47 @@ use std::path::{Path, PathBuf};
 use garad_core::CameraError;
 use thiserror::Error;
 
-/// The input's fault. Every message is one line and names where and what was expected.
+/// Invalid input. Every message is one line with the place and what was expected.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum DatasetError {
-    /// The operating system refused.
+    /// An error of the operating system.
     #[error("{}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// Its reason.
+        /// The error.
         source: io::Error,
     },
-    /// Nothing lies there.
+    /// No such file.
     #[error("{}: not found; expected {expected}", path.display())]
     NotFound {
-        /// The place.
+        /// The file.
         path: PathBuf,
-        /// What should be there.
+        /// What was expected.
         expected: &'static str,
     },
-    /// A folder or archive that is no recording.
+    /// A folder or archive that is not a recording.
     #[error("{}: {found}; expected a TUM or BONN recording, that is a folder with rgb.txt and depth.txt, or a .tgz, .tar.gz, .tar or .zip of one", path.display())]
     NotARecording {
         /// The folder or archive.
         path: PathBuf,
-        /// What is missing or odd.
+        /// What is missing or wrong.
         found: String,
     },
-    /// A line of a text file that cannot be read.
+    /// An invalid line of a text file.
     #[error("{}:{line}: found {found}; expected {expected}", path.display())]
     Line {
         /// The file.
         path: PathBuf,
         /// The line, from 1.
         line: usize,
-        /// What stands there.
+        /// What was found.
         found: String,
-        /// What should.
+        /// What was expected.
         expected: &'static str,
     },
-    /// A number of a calibration that cannot be.
+    /// An invalid number of a calibration.
     #[error("{}:{line}: {source}", path.display())]
     Camera {
         /// The file.
@@ -77,27 +76,27 @@ pub enum DatasetError {
         /// The smallest difference found.
         closest_s: f64,
     },
-    /// The options leave no frame, or one past the end was asked for.
-    #[error("{}: frame {frame} asked for; there are {len} frames, counted from 0", path.display())]
+    /// The options leave no frame, or the frame is past the end.
+    #[error("{}: frame {frame} requested; there are {len} frames, counted from 0", path.display())]
     NoSuchFrame {
         /// The recording.
         path: PathBuf,
         /// The frame.
         frame: usize,
-        /// How many there are.
+        /// Number of frames.
         len: usize,
     },
-    /// An option that makes no sense.
+    /// An invalid option.
     #[error("{option} is {value}; expected {expected}")]
     Option {
         /// Which.
         option: &'static str,
         /// Its value.
         value: String,
-        /// What it may be.
+        /// Its valid values.
         expected: &'static str,
     },
-    /// Nothing says what camera it was.
+    /// No calibration was found.
     #[error("{}: camera unknown; expected a calibration file, a preset ({presets}), a camera.txt in the recording, or one of those names in the recording's", path.display())]
     NoCalibration {
         /// The recording.
@@ -108,12 +107,12 @@ pub enum DatasetError {
     /// A preset that does not exist.
     #[error("preset {name:?} is unknown; expected one of {presets}")]
     UnknownPreset {
-        /// What was asked for.
+        /// The name.
         name: String,
         /// What exists.
         presets: &'static str,
     },
-    /// Larger than what is read.
+    /// Larger than the limit.
     #[error("{}: {what} is {value}; expected at most {limit}", path.display())]
     TooLarge {
         /// The file.
@@ -122,13 +121,13 @@ pub enum DatasetError {
         what: &'static str,
         /// Its value.
         value: u64,
-        /// The cap, see [`crate::limits`].
+        /// The limit, see [`crate::limits`].
         limit: u64,
     },
-    /// A name that leads out of the recording.
+    /// A name that leads outside the recording.
     #[error("{}: name {name:?} refused; expected a relative path without `..`", path.display())]
     UnsafeName {
-        /// The archive or list that holds the name.
+        /// The archive or list with the name.
         path: PathBuf,
         /// The name.
         name: String,
@@ -140,30 +139,30 @@ pub enum DatasetError {
         path: PathBuf,
         /// The entry.
         name: String,
-        /// What it is.
+        /// Its kind.
         kind: &'static str,
     },
-    /// An archive that does not unpack.
+    /// A broken archive.
     #[error("{}: broken archive: {problem}; expected a whole .tgz, .tar.gz, .tar or .zip", path.display())]
     Archive {
         /// The archive.
         path: PathBuf,
-        /// What its reader says.
+        /// Message of its reader.
         problem: String,
     },
-    /// A file that a list names and that is not there.
+    /// A listed file that does not exist.
     #[error("frame {frame}: {} is absent; it is listed in {}:{line}", path.display(), list.display())]
     Absent {
         /// The frame.
         frame: usize,
         /// The image.
         path: PathBuf,
-        /// The list that names it.
+        /// The list.
         list: PathBuf,
         /// The line, from 1.
         line: usize,
     },
-    /// An image that does not decode.
+    /// An image that cannot be decoded.
     #[error("{}{}: {problem}; expected {expected}", frame_prefix(*frame), path.display())]
     Image {
         /// The frame, if the image belongs to one.
@@ -172,7 +171,7 @@ pub enum DatasetError {
         path: PathBuf,
         /// What is wrong.
         problem: String,
-        /// What it should be.
+        /// What was expected.
         expected: &'static str,
     },
     /// An image of another size than its camera.
@@ -184,12 +183,12 @@ pub enum DatasetError {
         path: PathBuf,
         /// Columns and rows.
         found: (usize, usize),
-        /// What they should be.
+        /// What was expected.
         expected: (usize, usize),
-        /// What says so.
+        /// Where the expected size comes from.
         reference: String,
     },
-    /// A pose that a trajectory file cannot hold.
+    /// A pose that is not finite.
     #[error("{}: pose {index} has a number that is not finite; expected finite poses", path.display())]
     PoseNotFinite {
         /// The file to be written.
@@ -197,22 +196,22 @@ pub enum DatasetError {
         /// Which pose, from 0.
         index: usize,
     },
-    /// A PLY file that is no map.
+    /// A PLY file that is not a map.
     #[error("{}: {found}; expected {expected}", path.display())]
     Ply {
         /// The file.
         path: PathBuf,
-        /// What stands there.
+        /// What was found.
         found: String,
-        /// What should.
+        /// What was expected.
         expected: &'static str,
     },
-    /// A map whose arrays contradict each other or hold numbers that are not finite.
+    /// A map with inconsistent arrays or numbers that are not finite.
     #[error("{}: not written: {problem}; expected a consistent map of finite numbers", path.display())]
     Map {
         /// The file to be written.
         path: PathBuf,
-        /// The first offence.
+        /// The first problem.
         problem: String,
     },
 }
@@ -229,7 +228,7 @@ impl DatasetError {
     }
 }
 
-/// Text from a file as it may stand in a message: quoted, escaped, at most 60 characters.
+/// Text of a file for a message: quoted, escaped, at most 60 characters.
 pub(crate) fn excerpt(text: &str) -> String {
     const LONGEST: usize = 60;
     let mut short: String = text.chars().take(LONGEST).collect();

@@ -10,9 +10,9 @@ use crate::errors::DatasetError;
 
 /// All frames of a recording in order; made by [`Dataset::frames`].
 ///
-/// A frame that cannot be read comes out as its error, and the next call goes on with the next
-/// frame. A panic while decoding continues on the thread that asks. Dropping the iterator early
-/// ends the decoding thread, after the frame it is at.
+/// A frame that cannot be read is returned as its error, and the next call continues with the next
+/// frame. A panic while decoding resumes on the calling thread. Dropping the iterator early ends the
+/// decoding thread after its current frame.
 #[derive(Debug)]
 pub struct Frames {
     dataset: Dataset,
@@ -27,9 +27,24 @@ struct Ahead {
     thread: JoinHandle<()>,
 }
 
+impl Dataset {
+    /// All frames in order, decoded up to `prefetch` frames ahead on another thread; with 0 they are
+    /// decoded on demand, on the calling thread.
+    #[must_use]
+    pub fn frames(&self, prefetch: usize) -> Frames {
+        self.frames_from(0, prefetch)
+    }
+
+    /// [`Dataset::frames`] from frame `first` on; earlier ones are not decoded.
+    #[must_use]
+    pub fn frames_from(&self, first: usize, prefetch: usize) -> Frames {
+        Frames::new(self.clone(), first, prefetch)
+    }
+}
+
 impl Frames {
-    pub(crate) fn new(dataset: Dataset, first: usize, prefetch: usize) -> Self {
-        // Without a thread (none asked for, or none to be had) frames are decoded when asked for.
+    fn new(dataset: Dataset, first: usize, prefetch: usize) -> Self {
+        // Without a thread (0 requested, or none available) frames are decoded on demand.
         let ahead = (prefetch > 0)
             .then(|| {
                 let dataset = dataset.clone();
@@ -45,20 +60,20 @@ impl Frames {
 }
 
 impl Ahead {
-    /// Starts to read these frames; `None` if there is no thread to be had.
+    /// Starts to read these frames; `None` if no thread can be started.
     fn start(
         frames: Range<usize>,
         prefetch: usize,
         read: impl Fn(usize) -> Result<Frame, DatasetError> + Send + 'static,
     ) -> Option<Self> {
-        // One more frame waits in the hand of the thread, so the channel holds one less.
+        // The thread holds one more frame itself, so the channel holds one less.
         let (sender, decoded) = sync_channel(prefetch - 1);
         let thread = Builder::new()
             .name("decode".to_owned())
             .spawn(move || {
                 for i in frames {
                     if sender.send(read(i)).is_err() {
-                        return; // nobody listens any more
+                        return; // the iterator has been dropped
                     }
                 }
             })
@@ -74,7 +89,7 @@ impl Ahead {
         self.frames.recv().ok()
     }
 
-    /// Waits for the end of the thread and passes its panic on.
+    /// Waits for the end of the thread and resumes its panic.
     fn finish(self) {
         drop(self.frames);
         if let Err(panic) = self.thread.join() {
@@ -97,7 +112,7 @@ impl Iterator for Frames {
         };
         let frame = ahead.next();
         if frame.is_none() {
-            // The thread is gone before its last frame: it panicked.
+            // The thread has ended before its last frame: it panicked.
             self.next = self.dataset.len();
             if let Some(ahead) = self.ahead.take() {
                 ahead.finish();
@@ -118,7 +133,7 @@ impl Drop for Frames {
     fn drop(&mut self) {
         if let Some(Ahead { frames, thread }) = self.ahead.take() {
             drop(frames); // the thread's next send fails
-            // A panic in a frame nobody waits for is not passed on.
+            // A panic in a frame that is not needed is ignored.
             let _ = thread.join();
         }
     }
@@ -131,9 +146,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_panic_goes_on_where_the_frame_was_asked_for() {
+    fn panics_resume_on_the_calling_thread() {
         let ahead = Ahead::start(0..5, 2, |i| {
-            assert!(i < 1, "frame {i} burnt down");
+            assert!(i < 1, "frame {i} panics");
             Err(DatasetError::Option {
                 option: "frame",
                 value: i.to_string(),
@@ -145,6 +160,6 @@ mod tests {
         assert!(ahead.next().is_none(), "frame 1");
         let panic = catch_unwind(AssertUnwindSafe(|| ahead.finish())).expect_err("passed on");
         let message = panic.downcast_ref::<String>().expect("a message");
-        assert!(message.contains("frame 1 burnt down"), "{message}");
+        assert!(message.contains("frame 1 panics"), "{message}");
     }
 }

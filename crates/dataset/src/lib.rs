@@ -1,16 +1,16 @@
-//! Recordings in, maps and trajectories out: TUM and BONN RGB-D folders and archives,
-//! calibration, PLY. No algorithms.
+//! Readers of TUM and BONN RGB-D recordings (folders and archives), calibrations, trajectories and PLY
+//! maps, and writers of the last two. No algorithms.
 //!
 //! ```text
 //! folder | .tgz | .tar | .zip ──source──► rgb.txt, depth.txt ──list──► associate ──► Dataset
 //!                                         camera.txt ──calibration──────────────────────┤
 //!                                         groundtruth.txt ──trajectory──────────────────┘
 //! Dataset::read(i), frames(n) ──decode──► Frame (colour, depth in metres)
-//! Dataset::read_mask, read_own_mask ──decode──► what moves, if somebody knows
+//! Dataset::read_mask, read_own_mask ──decode──► true mask, if there is one
 //! ```
 //!
 //! Reading order: [`dataset`] → [`calibration`] → [`associate`](fn@associate) → [`trajectory`],
-//! [`bonn`] → [`ply`]. How much of a hostile file is believed is in [`limits`].
+//! [`bonn`] → [`ply`]. The limits for hostile files are in [`limits`].
 //!
 //! # Example
 //! ```no_run
@@ -33,6 +33,7 @@ mod damage;
 pub mod dataset;
 mod decode;
 mod errors;
+mod files;
 mod frames;
 pub mod limits;
 mod list;

@@ -1,17 +1,17 @@
-//! How much of a file is believed: caps that keep a hostile or broken input from filling the
-//! memory. Each is checked before the memory is asked for.
+//! Limits that keep a hostile or broken file from filling the memory. Each is checked before memory is
+//! allocated.
 
 /// Columns and rows of an image.
 pub const IMAGE_SIDE_PX: u32 = 4096;
-/// Bytes of a decoded image, and of what its decoder needs besides.
+/// Bytes of a decoded image, and of the memory its decoder needs.
 pub const IMAGE_DECODED_BYTES: u64 = 64 << 20;
 /// Bytes of one file: an image, a list, a trajectory.
 pub const FILE_BYTES: u64 = 64 << 20;
 /// Bytes of a whole archive, unpacked.
 pub const ARCHIVE_BYTES: u64 = 4 << 30;
-/// Unpacked bytes per packed byte; PNG does not shrink, so a real recording stays below 2.
+/// Unpacked bytes per packed byte; PNG is already compressed, so real recordings are below 2.
 pub const ARCHIVE_RATIO: u64 = 200;
-/// [`ARCHIVE_RATIO`] is looked at after this many unpacked bytes.
+/// [`ARCHIVE_RATIO`] is checked after this many unpacked bytes.
 pub const ARCHIVE_RATIO_FROM_BYTES: u64 = 16 << 20;
 /// Entries of an archive.
 pub const ARCHIVE_ENTRIES: usize = 1_000_000;
@@ -25,5 +25,5 @@ pub const LINE_BYTES: usize = 4 << 10;
 pub const GAUSSIANS: u64 = 2_000_000;
 /// Bytes of a PLY header.
 pub const PLY_HEADER_BYTES: usize = 64 << 10;
-/// Latest time of a recording, seconds. A number above it is most likely in nanoseconds.
+/// Latest time of a recording, seconds. A larger number is most likely in nanoseconds.
 pub const TIME_S: f64 = 1e11;

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::errors::{DatasetError, excerpt};
-use crate::source::clean_name;
+use crate::files::clean_name;
 use crate::text::{Place, for_each_line, time_s};
 
 /// One line of a list.
@@ -11,7 +11,7 @@ use crate::text::{Place, for_each_line, time_s};
 pub(crate) struct Entry {
     /// Seconds.
     pub(crate) t_s: f64,
-    /// The time as written: other files of the recording are named by it.
+    /// The time as written: masks are named by it.
     pub(crate) stamp: String,
     /// Relative to the list, see [`clean_name`].
     pub(crate) file: String,
@@ -21,12 +21,12 @@ pub(crate) struct Entry {
 
 /// Reads a list; the result is sorted by time, without duplicate times.
 ///
-/// Lines out of order are sorted, a line whose time an earlier line has is left out; both are
+/// Lines out of order are sorted, a line with the time of an earlier line is dropped; both are
 /// counted in `warnings`. With `strict` they are errors.
 ///
 /// # Errors
 /// [`DatasetError::Line`] for a line that is not `timestamp filename`,
-/// [`DatasetError::UnsafeName`] for a name that leads out of the recording,
+/// [`DatasetError::UnsafeName`] for a name that leads outside the recording,
 /// [`DatasetError::EmptyList`].
 pub(crate) fn parse_list(
     path: &Path,
@@ -80,7 +80,7 @@ pub(crate) fn parse_list(
             return Err(place.error("the time of an earlier line", "ascending times"));
         }
         warnings.push(format!(
-            "{}:{line}: time of an earlier line, {} such lines; left out",
+            "{}:{line}: time of an earlier line, {} such lines; dropped",
             path.display(),
             duplicates.len()
         ));
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_lines_are_named() {
+    fn bad_lines_are_reported() {
         for bad in ["5", "5 a b", "x a", "NaN a", "inf a", "-1 a", "1e300 a"] {
             let message = parse(&format!("1 ok\n{bad}\n"), false)
                 .0
@@ -175,9 +175,9 @@ mod tests {
         }
     }
 
-    /// Seeded damage to a good list: a list or an error, never a panic.
+    /// A damaged list gives a list or an error, never a panic.
     #[test]
-    fn damaged_lists_do_no_harm() {
+    fn damaged_lists_do_not_panic() {
         let good = b"\xEF\xBB\xBF# t\r\n1.50\trgb/1.50.png\r\n2.5 rgb/2.5.png\n3 ./rgb/3.png\n";
         let mut refused = 0;
         for case in 0..4000u64 {

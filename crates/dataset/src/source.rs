@@ -1,14 +1,14 @@
 //! [`Source`]: the files of a recording, in a folder or in an archive.
 
-use std::fs::{self, File};
-use std::io::Read;
+use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crate::archive::Archive;
 use crate::errors::DatasetError;
-use crate::limits;
+use crate::files::read_file;
 
-/// Where the files come from. Names are relative to the place of `rgb.txt`.
+/// Where the files come from. Names are relative to the folder of `rgb.txt`.
 #[derive(Debug)]
 pub(crate) enum Source {
     Folder(PathBuf),
@@ -18,10 +18,10 @@ pub(crate) enum Source {
 impl Source {
     /// # Errors
     /// [`DatasetError::NotFound`], [`DatasetError::NotARecording`] without `rgb.txt` and
-    /// `depth.txt`, and what [`Archive::open`] finds.
+    /// `depth.txt`, and the errors of [`Archive::open`].
     pub(crate) fn open(path: &Path) -> Result<Self, DatasetError> {
         let meta = fs::metadata(path).map_err(|source| match source.kind() {
-            std::io::ErrorKind::NotFound => DatasetError::NotFound {
+            ErrorKind::NotFound => DatasetError::NotFound {
                 path: path.to_path_buf(),
                 expected: "a folder or archive of a TUM or BONN recording",
             },
@@ -56,7 +56,7 @@ impl Source {
         }
     }
 
-    /// How a file is called in messages.
+    /// The path of a file, for messages.
     pub(crate) fn locate(&self, name: &str) -> PathBuf {
         match self {
             Self::Folder(path) => path.join(name),
@@ -64,7 +64,7 @@ impl Source {
         }
     }
 
-    /// The bytes of a file; `None` if there is none of that name.
+    /// The bytes of a file; `None` if it does not exist.
     ///
     /// # Errors
     /// [`DatasetError::TooLarge`], [`DatasetError::Io`], [`DatasetError::Archive`].
@@ -84,87 +84,9 @@ impl Source {
     }
 }
 
-/// The bytes of a regular file of at most [`limits::FILE_BYTES`]; `None` if there is none.
-///
-/// Links are followed: a folder on disk is the user's own, and recordings are often linked from
-/// another disk. Devices and pipes are not opened.
-pub(crate) fn read_file(path: &Path) -> Result<Option<Vec<u8>>, DatasetError> {
-    match fs::metadata(path) {
-        Ok(meta) if meta.is_file() => check_file_size(meta.len(), path)?,
-        Ok(_) => return Ok(None),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-        Err(error) => return Err(DatasetError::io(path)(error)),
-    }
-    let file = File::open(path).map_err(DatasetError::io(path))?;
-    read_at_most(file, path).map(Some)
-}
-
-/// Reads to the end, but not past [`limits::FILE_BYTES`].
-pub(crate) fn read_at_most(reader: impl Read, path: &Path) -> Result<Vec<u8>, DatasetError> {
-    let mut bytes = Vec::new();
-    reader
-        .take(limits::FILE_BYTES + 1)
-        .read_to_end(&mut bytes)
-        .map_err(DatasetError::io(path))?;
-    check_file_size(bytes.len() as u64, path)?;
-    Ok(bytes)
-}
-
-/// [`limits::FILE_BYTES`] as an error.
-pub(crate) fn check_file_size(bytes: u64, path: &Path) -> Result<(), DatasetError> {
-    if bytes > limits::FILE_BYTES {
-        return Err(DatasetError::TooLarge {
-            path: path.to_path_buf(),
-            what: "size in bytes",
-            value: bytes,
-            limit: limits::FILE_BYTES,
-        });
-    }
-    Ok(())
-}
-
-/// The relative path `name` without empty and `.` parts; `None` if it climbs out, is absolute,
-/// empty, or uses signs that mean something else on another system (`\`, `:`, controls).
-pub(crate) fn clean_name(name: &str) -> Option<String> {
-    let odd = |c: char| c == '\\' || c == ':' || c.is_control();
-    if name.starts_with('/') || name.contains(odd) {
-        return None;
-    }
-    let parts: Vec<&str> = name
-        .split('/')
-        .filter(|part| !part.is_empty() && *part != ".")
-        .collect();
-    (!parts.is_empty() && !parts.contains(&"..")).then(|| parts.join("/"))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn names_stay_inside() {
-        assert_eq!(clean_name("./rgb//1.png").as_deref(), Some("rgb/1.png"));
-        assert_eq!(
-            clean_name("a..b/...").as_deref(),
-            Some("a..b/..."),
-            "just dots"
-        );
-        for bad in [
-            "",
-            ".",
-            "/",
-            "/a",
-            "..",
-            "a/..",
-            "../a",
-            "a/../../b",
-            "a\\b",
-            "C:a",
-            "a\0",
-        ] {
-            assert_eq!(clean_name(bad), None, "{bad:?}");
-        }
-    }
 
     #[test]
     fn folders_need_both_lists() {
@@ -190,17 +112,5 @@ mod tests {
             "absent"
         );
         assert_eq!(source.read("rgb.txt").expect("there"), Some(Vec::new()));
-    }
-
-    #[cfg(unix)]
-    #[test]
-    fn devices_are_not_opened() {
-        // Reading /dev/zero would not end.
-        assert!(
-            read_file(Path::new("/dev/zero"))
-                .expect("no fault")
-                .is_none(),
-            "a device"
-        );
     }
 }

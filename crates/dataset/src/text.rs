@@ -1,11 +1,11 @@
-//! Text files line by line: byte order mark, CRLF, comments, caps; and the numbers in them.
+//! Text files line by line: byte order mark, CRLF, comments, limits; and the numbers in them.
 
 use std::path::Path;
 
 use crate::errors::{DatasetError, excerpt};
 use crate::limits;
 
-/// Where a line stands, for messages.
+/// File and line, for messages.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Place<'a> {
     pub(crate) path: &'a Path,
@@ -25,7 +25,7 @@ impl Place<'_> {
 
 /// Calls `each` with every line that is neither blank nor a comment (`#`), trimmed.
 ///
-/// A UTF-8 byte order mark and carriage returns are passed over. The first error ends the walk.
+/// A UTF-8 byte order mark and carriage returns are skipped. The first error ends the reading.
 ///
 /// # Errors
 /// [`DatasetError::Line`] for text that is not UTF-8, [`DatasetError::TooLarge`] for a line
@@ -101,14 +101,14 @@ mod tests {
     }
 
     #[test]
-    fn marks_returns_comments_and_blanks_are_passed_over() {
+    fn marks_returns_comments_and_blanks_are_skipped() {
         let seen = lines(b"\xEF\xBB\xBF# title\r\n\r\n 1 a\t\r\n  # more\n2 b").expect("fine");
         assert_eq!(seen, [(3, "1 a".to_owned()), (5, "2 b".to_owned())]);
         assert_eq!(lines(b"").expect("fine"), [], "nothing");
     }
 
     #[test]
-    fn other_encodings_and_endless_lines_are_refused() {
+    fn other_encodings_and_long_lines_are_refused() {
         let message = lines(b"1 a\n2 \xFF\xFE\n")
             .expect_err("not UTF-8")
             .to_string();

@@ -8,11 +8,10 @@ use nalgebra::Vector3;
 
 use crate::atomic::write_atomically;
 use crate::errors::{DatasetError, excerpt};
-use crate::source::read_file;
+use crate::files::read_file;
 use crate::text::{Place, for_each_line, number, time_s};
 
-/// How far the length of a written quaternion may be from 1; four decimals, as the TUM files
-/// have them, cost 1e-4.
+/// Tolerance of the length of a written quaternion; the four decimals of the TUM files cost 1e-4.
 const QUATERNION_TOLERANCE: f64 = 1e-3;
 const EXPECTED: &str = "`timestamp tx ty tz qx qy qz qw`, finite numbers";
 
@@ -28,10 +27,10 @@ pub fn read_trajectory(path: &Path) -> Result<Vec<StampedPose>, DatasetError> {
     parse_trajectory(path, &bytes)
 }
 
-/// Reads a trajectory from the bytes of its file; `path` serves the messages.
+/// Reads a trajectory from the bytes of its file; `path` is for messages.
 ///
-/// Strict: eight numbers a line, times strictly ascending. Quaternions are brought to unit
-/// length. A file without a pose gives an empty trajectory.
+/// Strict: eight numbers a line, times strictly ascending. Quaternions are normalised. A file without
+/// a pose gives an empty trajectory.
 ///
 /// # Errors
 /// [`DatasetError::Line`] for a line of another shape, a number that is not finite, a time that
@@ -50,7 +49,7 @@ pub fn parse_trajectory(path: &Path, bytes: &[u8]) -> Result<Vec<StampedPose>, D
     let mut poses: Vec<StampedPose> = Vec::new();
     for_each_line(path, bytes, |place, text| {
         let pose = parse_pose(place, text)?;
-        // Written so that anything but "later" is an error.
+        // Written so that NaN is an error.
         let later = poses.last().is_none_or(|last| pose.t_s > last.t_s);
         if !later {
             let found = format!("time {} after one that is not earlier", pose.t_s);
@@ -134,7 +133,7 @@ fn check_finite(path: &Path, poses: &[StampedPose]) -> Result<(), DatasetError> 
     }
 }
 
-/// Fixed decimals; what rounds to zero has no sign.
+/// Fixed decimals; no negative zero.
 fn decimals(value: f64, digits: usize) -> String {
     let text = format!("{value:.digits$}");
     match text.strip_prefix('-') {
@@ -159,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn spoilt_lines_are_named() {
+    fn bad_lines_are_reported() {
         let cases = [
             ("1 0 0 0 0 0 0", "7 columns"),
             ("1 0 0 0 0 0 0 1 0", "9 columns"),
@@ -257,7 +256,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_written_is_read(
+        fn round_trip(
             v in proptest::array::uniform6(-3.0f64..3.0),
             start in 0.0f64..2e9,
         ) {
@@ -281,9 +280,9 @@ mod tests {
         }
     }
 
-    /// Seeded damage to a good file: an answer or an error, never a panic.
+    /// A damaged file gives a trajectory or an error, never a panic.
     #[test]
-    fn damaged_files_do_no_harm() {
+    fn damaged_files_do_not_panic() {
         let good = b"# t\r\n1.5 1 2 3 0 0 0 1\n2.5 -1e-3 +2 .5 0.5 -0.5 0.5 0.5\n3 0 0 0 1 0 0 0\n";
         let mut refused = 0;
         for case in 0..4000u64 {

@@ -1,31 +1,31 @@
-//! Time and memory of a long run, frame by frame, as a picture.
+//! Time and memory of a long run, frame by frame, as a plot.
 //!
 //! ```text
 //! cargo run --release -p garad-eval --example long_run -- OUT/costs.csv long_run.svg
 //! ```
 //!
-//! `costs.csv` is what `garad run` leaves in OUT. The dark line is the processor time of all threads, a
-//! mean of 50 frames, which does not mind who else is at work on the machine. The grey line is the time
-//! tracking took, a median of 50 frames, which does.
+//! `costs.csv` is written by `garad run`. The dark line is the processor time of all threads, a mean of 50
+//! frames, which does not depend on the load of the machine. The grey line is the wall time of tracking, a
+//! median of 50 frames, which does.
 
 use std::error::Error;
 use std::fs;
 
 use plotters::prelude::*;
 
-/// Frames that are one point.
+/// Frames per point.
 const GROUP: usize = 50;
 const SIZE: (u32, u32) = (860, 560);
 const INK: RGBColor = RGBColor(30, 60, 110);
 const PALE: RGBColor = RGBColor(160, 165, 175);
 
-/// A frame's tracking (ms), memory (MiB) and processor time since the start (ms).
+/// Tracking (ms), memory (MiB) and processor time since the start (ms) of a frame.
 type Cost = [f64; 3];
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
     let (Some(csv), Some(svg)) = (arguments.next(), arguments.next()) else {
-        return Err("expected: long_run COSTS.csv PICTURE.svg".into());
+        return Err("expected: long_run COSTS.csv PLOT.svg".into());
     };
     let costs = read(&fs::read_to_string(&csv)?).map_err(|line| {
         let expected = "frame,tracking_ms,waiting_ms,resident_mib,processor_ms";

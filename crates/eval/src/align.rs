@@ -1,7 +1,7 @@
-//! The motion that carries one list of points onto another: Horn's closed form.
+//! The motion that maps one list of points onto another: Horn's closed form.
 //!
-//! The estimate of a SLAM system lives in a world of its own, usually the first camera's. Before
-//! positions can be compared, that world is laid over the ground truth's.
+//! The world of an estimate is usually the frame of the first camera. Before positions can be compared,
+//! it is aligned with the world of the ground truth.
 
 use garad_core::{Se3, So3, StampedPose};
 use nalgebra::{Matrix3, Matrix4, SymmetricEigen, Vector3, Vector4};
@@ -9,16 +9,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::EvalError;
 
-/// What may be adjusted before positions are compared.
+/// Alignment before positions are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Alignment {
-    /// Nothing: both trajectories already share a world.
+    /// None: both trajectories already share a world.
     None,
-    /// Rotation and translation. The rule for RGB-D, where depth fixes the scale.
+    /// Rotation and translation. For RGB-D, where depth fixes the scale.
     #[default]
     Rigid,
-    /// Rotation, translation and scale. Flatters RGB-D systems; made for monocular ones.
+    /// Rotation, translation and scale. For monocular systems; too favourable for RGB-D.
     Similarity,
 }
 
@@ -44,8 +44,7 @@ impl Sim3 {
         }
     }
 
-    /// The pose of a camera after its world has been moved: R and t compose, the position is
-    /// scaled, the camera itself keeps its size.
+    /// The pose of a camera in the transformed world: R and t compose, the position is scaled.
     #[must_use]
     pub fn move_pose(&self, world_from_camera: &Se3) -> Se3 {
         Se3::new(
@@ -80,10 +79,10 @@ pub fn align_trajectory(aligned_from_world: &Sim3, trajectory: &[StampedPose]) -
 /// matrix N(Σ fromᵢ toᵢᵀ), for which vᵀ N v = Σ toᵢ · R(v) fromᵢ. Then s = λ / Σ|fromᵢ|² and
 /// t = mean(to) - s R mean(from).
 ///
-/// Every unit quaternion is a proper rotation, so nothing needs to guard against reflections,
-/// and points in a plane are as well-conditioned as any. Points on a line leave the rotation
-/// about it open, points in one place leave all of it open: of the optimal rotations the one
-/// nearest to none is taken, and the residual is the same for all.
+/// Every unit quaternion is a proper rotation, so reflections cannot occur, and coplanar points are well
+/// conditioned. Collinear points leave the rotation about their line undetermined, coincident points the
+/// whole rotation: of the optimal rotations the one nearest to the identity is returned; the residual is
+/// the same for all.
 ///
 /// Source: Horn 1987, "Closed-form solution of absolute orientation using unit quaternions";
 /// the minimum is that of Umeyama 1991. Golden: `trajectory/umeyama_*`.
@@ -160,8 +159,8 @@ fn centred(points: &[Vector3<f64>]) -> (Vec<Vector3<f64>>, Vector3<f64>) {
     )
 }
 
-/// Eigenvalues closer than this, relative to the largest, count as one: the points then leave
-/// that rotation open. It is reached when their extent across the line is 1e-6 of that along it.
+/// Eigenvalues closer than this, relative to the largest, count as equal: that rotation is then
+/// undetermined. This is so when the extent of the points across a line is 1e-6 of that along it.
 const SAME_EIGENVALUE: f64 = 1e-12;
 
 /// argmax over R of Σ to · R from = tr(R M), M = Σ from toᵀ.
@@ -178,7 +177,7 @@ fn best_rotation(m: &Matrix3<f64>) -> So3 {
     );
     let eigen = SymmetricEigen::new(n);
     let largest = eigen.eigenvalues.max();
-    // No rotation, projected on the eigenspace of the largest eigenvalue.
+    // The identity, projected onto the eigenspace of the largest eigenvalue.
     let mut nearest = Vector4::zeros();
     let mut any = Vector4::zeros();
     for (value, v) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
@@ -187,7 +186,7 @@ fn best_rotation(m: &Matrix3<f64>) -> So3 {
             any = v.into_owned();
         }
     }
-    // Half turns are orthogonal to no rotation: among several, all are equally near.
+    // Half turns are orthogonal to the identity: all of them are equally near.
     let q = if nearest.norm() > SAME_EIGENVALUE { nearest } else { any };
     So3::from_quaternion(q[0], q[1], q[2], q[3]).unwrap_or_default()
 }
@@ -252,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn points_on_a_line_turn_no_more_than_they_must() {
+    fn collinear_points_take_the_smallest_rotation() {
         let from: Vec<_> = (0..5).map(|i| Vector3::x() * f64::from(i)).collect();
         let to: Vec<_> = from.iter().map(|p| Vector3::new(1.0, p.x, 0.0)).collect();
         let sim3 = align_points(&from, &to, Alignment::Rigid).expect("five points");
@@ -266,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn points_in_one_place_do_not_turn() {
+    fn coincident_points_are_not_rotated() {
         let from = vec![Vector3::new(0.1, 0.2, 0.3); 7];
         let to = cloud(5, 7, [1.0, 1.0, 1.0]);
         let sim3 = align_points(&from, &to, Alignment::Rigid).expect("seven points");
@@ -276,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_input_is_named() {
+    fn bad_input_is_reported() {
         let two = cloud(1, 2, [1.0; 3]);
         let error = align_points(&two, &two, Alignment::Rigid).expect_err("two points");
         assert_eq!(

@@ -1,11 +1,11 @@
-//! Which estimated pose belongs to which ground-truth pose: the nearest in time.
+//! Pairs of estimated and true poses: nearest in time.
 
 use garad_core::StampedPose;
 
 use crate::EvalError;
 
-/// Largest time difference of a pair, seconds: the default of the TUM tools. Motion capture runs
-/// at 100 Hz and more, so that a match further off means a hole in the ground truth.
+/// Largest time difference of a pair, seconds: the default of the TUM tools. Motion capture runs at 100 Hz
+/// and more, so a larger difference means a gap in the ground truth.
 pub const MAX_DT_S: f64 = 0.02;
 
 /// Index of the pose whose time is nearest to `t_s`, if at most `max_dt_s` away; of two equally
@@ -27,10 +27,10 @@ pub fn nearest_in_time(trajectory: &[StampedPose], t_s: f64, max_dt_s: f64) -> O
 
 /// Pairs (ground truth, estimate) of poses that are nearest in time and at most `max_dt_s` apart.
 ///
-/// The trajectory with fewer poses leads: each of its poses takes its nearest partner in the
-/// other one, which several may share; at equal counts the estimate leads. This is how evo
-/// (`associate_trajectories(reference, estimate)`) pairs. The older TUM script pairs greedily
-/// and never shares a partner; at 30 Hz against 100 Hz both give the same pairs.
+/// Each pose of the shorter trajectory (of equal ones, the estimate) is paired with its nearest partner in
+/// the other one, which several may share, as in evo's `associate_trajectories(reference, estimate)`. The
+/// older TUM script pairs greedily and never shares a partner; at 30 Hz against 100 Hz both give the same
+/// pairs.
 ///
 /// # Errors
 /// [`EvalError::Times`] when times are not ascending, [`EvalError::NonFinite`] for a bad pose,
@@ -60,7 +60,7 @@ pub fn associate(
     Ok(pairs)
 }
 
-/// Both trajectories usable, the time limit positive.
+/// Checks both trajectories and the time limit.
 pub(crate) fn check(
     ground_truth: &[StampedPose],
     estimate: &[StampedPose],
@@ -145,19 +145,23 @@ mod tests {
     }
 
     #[test]
-    fn the_shorter_trajectory_leads() {
+    fn the_shorter_trajectory_chooses() {
         let dense = at(&[0.0, 0.1, 0.2, 0.3]);
         let sparse = at(&[0.09, 0.31]);
         let pairs = associate(&dense, &sparse, 0.02).expect("two pairs");
-        assert_eq!(pairs, [(1, 0), (3, 1)], "the estimate leads");
+        assert_eq!(pairs, [(1, 0), (3, 1)], "the estimate chooses");
         let pairs = associate(&sparse, &dense, 0.02).expect("two pairs");
-        assert_eq!(pairs, [(0, 1), (1, 3)], "the ground truth leads");
+        assert_eq!(pairs, [(0, 1), (1, 3)], "the ground truth chooses");
         let pairs = associate(&at(&[0.0, 9.0]), &at(&[0.0, 0.01]), 0.02).expect("two pairs");
-        assert_eq!(pairs, [(0, 0), (0, 1)], "equal counts: the estimate leads");
+        assert_eq!(
+            pairs,
+            [(0, 0), (0, 1)],
+            "equal counts: the estimate chooses"
+        );
     }
 
     #[test]
-    fn bad_input_is_named() {
+    fn bad_input_is_reported() {
         let (good, back) = (at(&[0.0, 1.0]), at(&[1.0, 0.0]));
         let error = associate(&good, &back, 0.02).expect_err("time goes back");
         assert!(
@@ -179,7 +183,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn binary_search_agrees_with_looking_at_all(
+        fn binary_search_agrees_with_linear_search(
             mut times in proptest::collection::vec(-5.0f64..5.0, 0..20),
             t in -6.0f64..6.0,
         ) {

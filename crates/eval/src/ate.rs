@@ -10,7 +10,7 @@ use crate::{EvalError, Stats};
 /// The protocol. Its default is the one of the TUM tools and of the papers on dynamic scenes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AteOptions {
-    /// What may be adjusted first.
+    /// Alignment of the estimate.
     pub alignment: Alignment,
     /// Largest time difference of a pair, seconds.
     pub max_dt_s: f64,
@@ -26,7 +26,7 @@ impl Default for AteOptions {
 }
 
 impl AteOptions {
-    /// The protocol in words, to stand beside every number it made.
+    /// The protocol in words, to be shown beside its figures.
     #[must_use]
     pub fn describe(&self) -> String {
         let alignment = match self.alignment {
@@ -43,9 +43,9 @@ impl AteOptions {
 pub struct AtePoint {
     /// Time of the estimate, seconds.
     pub t_s: f64,
-    /// Where the camera was, metres.
+    /// True position of the camera, metres.
     pub ground_truth: Vector3<f64>,
-    /// Where the aligned estimate puts it, metres.
+    /// Aligned estimate, metres.
     pub estimate: Vector3<f64>,
     /// Distance of the two, metres.
     pub error_m: f64,
@@ -56,7 +56,7 @@ pub struct AtePoint {
 pub struct Ate {
     /// Summary of the errors, metres.
     pub stats: Stats,
-    /// Lays the estimate's world over the ground truth's.
+    /// Aligns the world of the estimate with that of the ground truth.
     pub truth_from_estimate: Sim3,
     /// All pairs, in order of time.
     pub points: Vec<AtePoint>,
@@ -79,7 +79,7 @@ pub struct Ate {
 ///     t_s,
 ///     world_from_camera: Se3::exp(&[x, y, 0.0, 0.0, 0.0, 0.0].into()),
 /// };
-/// // The same triangle somewhere else: nothing is wrong with it.
+/// // The same triangle, moved: no error.
 /// let truth = [pose(0.0, 0.0, 0.0), pose(0.1, 3.0, 0.0), pose(0.2, 3.0, 4.0)];
 /// let estimate = [pose(0.0, 7.0, 1.0), pose(0.1, 7.0, 4.0), pose(0.2, 3.0, 4.0)];
 /// let judged = ate(&truth, &estimate, &AteOptions::default())?;
@@ -170,7 +170,7 @@ mod tests {
         assert_eq!(ate.truth_from_estimate, Sim3::identity(), "nothing moved");
     }
 
-    /// A camera that never moved is judged by the spread of the truth.
+    /// The error of an estimate that never moves is the spread of the truth.
     #[test]
     fn a_frozen_estimate_has_the_spread_of_the_truth() {
         let truth = walk(50, 0.0);
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn two_pairs_are_no_judgement() {
+    fn two_pairs_are_too_few() {
         let truth = walk(2, 0.0);
         let error = ate(&truth, &truth, &AteOptions::default()).expect_err("two pairs");
         assert_eq!(
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn the_protocol_is_said_in_words() {
+    fn the_protocol_has_a_description() {
         let text = AteOptions::default().describe();
         assert_eq!(text, "rigid alignment, nearest time within 0.02 s", "words");
     }
@@ -236,7 +236,7 @@ mod tests {
 
         /// With scale free, a scaled estimate is as good as before; without, it is not.
         #[test]
-        fn scale_counts_unless_it_is_free(scale in 1.1f64..4.0) {
+        fn scale_matters_unless_it_is_aligned(scale in 1.1f64..4.0) {
             let (truth, estimate) = (walk(80, 0.0), walk(80, 0.01));
             let scaled = moved(&estimate, &Sim3 { scale, ..Sim3::identity() });
             let judge = |estimate: &[StampedPose], alignment| {

@@ -1,23 +1,23 @@
-//! Depth error: how far rendered surfaces are from measured ones.
+//! Depth error: distance between rendered and measured surfaces.
 
 use garad_core::{DepthImage, MaskImage};
 
 use crate::EvalError;
 use crate::image_metrics::{check_sizes, judged, no_pixels};
 
-/// Depth error of one picture.
+/// Depth error of one image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DepthL1 {
-    /// Mean of |z_render - z_truth| where both are known, metres.
+    /// Mean of |z_render - z_truth| over the pixels with both depths, metres.
     pub mean_m: f64,
-    /// Pixels where both are known.
+    /// Pixels with both depths.
     pub pixels: usize,
     /// Share of the pixels with true depth where the render has depth too, in [0, 1].
     pub coverage: f64,
 }
 
-/// Mean absolute difference of two depth pictures where both have depth (finite and above 0) and
-/// the mask, if any, is 0. Read it together with `coverage`: empty pixels cost nothing here.
+/// Mean absolute difference of two depth images where both have depth (finite and above 0) and the mask,
+/// if any, is 0. To be read together with `coverage`: pixels without rendered depth do not count.
 ///
 /// # Errors
 /// [`EvalError::SizeMismatch`]; [`EvalError::TooFew`] when no pixel has both depths.

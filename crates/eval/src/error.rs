@@ -1,18 +1,18 @@
-//! [`EvalError`]: inputs that cannot be judged.
+//! [`EvalError`]: inputs that cannot be evaluated.
 
 use thiserror::Error;
 
-/// Why there is no figure.
+/// Why a figure cannot be computed.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum EvalError {
-    /// Fewer of something than the figure needs.
+    /// Fewer elements than the figure needs.
     #[error("{got} {what}, at least {needed} are needed")]
     TooFew {
         /// What is counted.
         what: &'static str,
-        /// How many there are.
+        /// Their number.
         got: usize,
-        /// How many the figure is defined for.
+        /// The smallest valid number.
         needed: usize,
     },
     /// No estimate has a ground-truth pose near it in time.
@@ -41,12 +41,12 @@ pub enum EvalError {
     /// A pose or point holds NaN or an infinity.
     #[error("{what} {index} is not finite")]
     NonFinite {
-        /// What the list holds.
+        /// What the list contains.
         what: &'static str,
         /// The first bad element.
         index: usize,
     },
-    /// Two lists or pictures that should have one size.
+    /// Two lists or images that should have one size.
     #[error("{what}: expected {expected:?}, got {got:?}")]
     SizeMismatch {
         /// What is compared.
@@ -56,7 +56,7 @@ pub enum EvalError {
         /// Size of the second.
         got: (usize, usize),
     },
-    /// Every estimated position is the same: no scale maps it onto anything.
+    /// All estimated positions are equal: the scale is undetermined.
     #[error("scale is undetermined: all estimated positions coincide")]
     ScaleUndetermined,
     /// The plotting library failed.
@@ -67,7 +67,7 @@ pub enum EvalError {
     Option {
         /// The option.
         name: &'static str,
-        /// What it was.
+        /// Its value.
         value: f64,
     },
 }

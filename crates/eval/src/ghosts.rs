@@ -1,38 +1,37 @@
-//! Ghosts: what a map of the static scene shows where nothing is, left behind by things that moved.
+//! Ghosts: surfaces in a map of the static scene where there is none, left behind by moving objects.
 
 use garad_core::{DepthImage, MaskImage};
 
 use crate::EvalError;
 use crate::image_metrics::{check_sizes, judged, no_pixels};
 
-/// How far in front of the background a surface must stand to be a ghost, metres: more than depth
-/// noise and the roughness of a map, less than a limb.
+/// Smallest distance of a ghost to the background, metres: more than depth noise and the roughness of a
+/// map, less than the thickness of a limb.
 pub const GHOST_GAP_M: f64 = 0.10;
 
-/// Ghosts in one picture.
+/// Ghosts in one image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ghosts {
     /// Share of the judged pixels that show a ghost, in [0, 1].
     pub fraction: f64,
-    /// Those pixels.
+    /// Pixels with a ghost.
     pub ghosts: usize,
     /// Pixels judged: outside the mask, with a known background.
     pub pixels: usize,
-    /// Share of the judged pixels where the render has depth at all, in [0, 1]: an empty map has no
-    /// ghosts either.
+    /// Share of the judged pixels with rendered depth, in [0, 1]: an empty map has no ghosts.
     pub coverage: f64,
 }
 
-/// Share of pixels where the rendered surface stands in front of the true background:
+/// Share of pixels where the rendered surface is in front of the true background:
 ///
 /// ghost ⇔ z_render < z_background - `min_gap_m`
 ///
 /// The render is of the static Gaussians from the true pose of a frame; the background is the depth
-/// of that view without anything that moves. A made scene has it exactly: its background or, where
-/// nothing stops, its static twin; then no mask is needed, and what hides behind a person is judged
-/// too. A recording has only the measured depth of the frame; then everything that is not 0 in
-/// the mask is left out. Pixels without background depth (0 or NaN) are not judged; pixels without
-/// rendered depth are judged and are no ghosts.
+/// of that view without moving objects. A synthetic scene has it exactly: its background or, if nothing
+/// stops, its static twin; then no mask is needed, and pixels hidden behind a person are judged too. A
+/// recording has only the measured depth of the frame; then pixels whose mask is not 0 are excluded.
+/// Pixels without background depth (0 or NaN) are not judged; pixels without rendered depth are judged
+/// and are not ghosts.
 ///
 /// # Shapes and units
 /// `rendered`, `background` in metres, of one size · `min_gap_m` as [`GHOST_GAP_M`]
@@ -43,7 +42,7 @@ pub struct Ghosts {
 /// ```
 /// use garad_core::Image;
 /// use garad_eval::{GHOST_GAP_M, ghosts};
-/// // A wall 3 m away; the map shows it, a ghost at 1.5 m, noise, and a hole.
+/// // A wall at 3 m; the map has the wall, a ghost at 1.5 m, noise, and a hole.
 /// let wall = Image::new(4, 1, 3.0f32);
 /// let rendered = Image::from_vec(4, 1, vec![3.0f32, 1.5, 2.95, 0.0]).expect("four pixels");
 /// let found = ghosts(&rendered, &wall, None, GHOST_GAP_M)?;
@@ -98,7 +97,7 @@ mod tests {
 
     #[test]
     fn both_sides_of_the_gap() {
-        // 2.5 and 0.5 are exact, so 2.0 is exactly on the threshold: more than the gap is asked.
+        // 2.5 and 0.5 are exact, so 2.0 is exactly on the threshold, which is not a ghost.
         let background = row(&[2.5; 4]);
         let rendered = row(&[2.0, 1.999_999_9, 2.6, 9.0]);
         let found = ghosts(&rendered, &background, None, 0.5).expect("four pixels");
@@ -108,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_known_is_not_judged() {
+    fn unknown_pixels_are_not_judged() {
         let background = row(&[0.0, f32::NAN, f32::INFINITY, 3.0, 3.0, 3.0]);
         let rendered = row(&[1.0, 1.0, 1.0, f32::NAN, 0.0, 1.0]);
         let found = ghosts(&rendered, &background, None, 0.1).expect("three pixels");
@@ -123,20 +122,14 @@ mod tests {
     }
 
     #[test]
-    fn bad_input_is_named() {
-        let picture = row(&[1.0; 3]);
+    fn bad_input_is_reported() {
+        let image = row(&[1.0; 3]);
         for gap in [0.0, -0.1, f64::NAN, f64::INFINITY] {
-            let error = ghosts(&picture, &picture, None, gap).expect_err("gap");
+            let error = ghosts(&image, &image, None, gap).expect_err("gap");
             assert!(error.to_string().starts_with("min_gap_m"), "{error}");
         }
-        assert!(
-            ghosts(&picture, &row(&[1.0; 2]), None, 0.1).is_err(),
-            "size"
-        );
+        assert!(ghosts(&image, &row(&[1.0; 2]), None, 0.1).is_err(), "size");
         let mask = Image::new(2, 1, 0);
-        assert!(
-            ghosts(&picture, &picture, Some(&mask), 0.1).is_err(),
-            "mask"
-        );
+        assert!(ghosts(&image, &image, Some(&mask), 0.1).is_err(), "mask");
     }
 }

@@ -1,10 +1,10 @@
-//! PSNR and SSIM: how well a rendered picture meets the recorded one.
+//! PSNR and SSIM of a rendered image against the recorded one.
 //!
-//! Everything is computed in f64, whatever the pixels are. Where a mask is given, pixels that
-//! are not 0 in it (moving or unknown) neither count nor leak: SSIM's windows reach over the
-//! edge of the mask, so inside it the render is first replaced by the recorded picture. A masked
-//! SSIM is therefore the mean over the static pixels alone; those within 5 px of the mask have
-//! windows that are partly right by construction, so narrow gaps between masks score kindly.
+//! Everything is computed in f64 for any type of pixel. If a mask is given, pixels that are not 0 in it
+//! (moving or unknown) have no influence: since SSIM's windows extend over the edge of the mask, the
+//! render is first replaced by the recorded image inside it. A masked SSIM is therefore the mean over the
+//! static pixels; the windows within 5 px of the mask are partly perfect by construction, so narrow gaps
+//! between masks are rated too well.
 
 use garad_core::{Image, MaskImage, Par, Real};
 
@@ -36,29 +36,29 @@ macro_rules! impl_pixel {
 }
 impl_pixel!(u8: |v| f64::from(v) / 255.0, f32: f64::from, f64: |v| v);
 
-/// PSNR and SSIM of one picture.
+/// PSNR and SSIM of one image.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PictureQuality {
-    /// Decibels; infinite for equal pictures.
+pub struct ImageQuality {
+    /// Decibels; infinite for equal images.
     pub psnr_db: f64,
-    /// 1 for equal pictures.
+    /// 1 for equal images.
     pub ssim: f64,
     /// Pixels judged.
     pub pixels: usize,
 }
 
-/// [`psnr_db`] and [`ssim`] of one pair.
+/// [`psnr_db`] and [`ssim`] of one pair of images.
 ///
 /// # Errors
 /// As [`psnr_db`].
-pub fn compare_pictures<A: Pixel, B: Pixel>(
+pub fn compare_images<A: Pixel, B: Pixel>(
     render: &Image<A>,
     truth: &Image<B>,
     excluded: Option<&MaskImage>,
     par: Par,
-) -> Result<PictureQuality, EvalError> {
+) -> Result<ImageQuality, EvalError> {
     let pixels = check(render, truth, excluded)?;
-    Ok(PictureQuality {
+    Ok(ImageQuality {
         psnr_db: psnr_of_checked(render, truth, excluded, pixels),
         ssim: ssim_of_checked(render, truth, excluded, pixels, par),
         pixels,
@@ -69,7 +69,7 @@ pub fn compare_pictures<A: Pixel, B: Pixel>(
 ///
 /// PSNR = -10 log₁₀( Σ (x - y)² / n ),   n = judged pixels times channels.
 ///
-/// Infinite when the pictures are equal. Source: its definition. Golden: `image_metrics/*`.
+/// Infinite when the images are equal. Source: its definition. Golden: `image_metrics/*`.
 ///
 /// # Errors
 /// [`EvalError::SizeMismatch`]; [`EvalError::NonFinite`] with the index of the first bad judged
@@ -102,8 +102,8 @@ fn psnr_of_checked<A: Pixel, B: Pixel>(
 
 /// Mean of [`ssim_map`] over the judged pixels and channels.
 ///
-/// With a mask the render is replaced by the recorded picture inside it before windows are taken,
-/// and the mean is over the pixels outside.
+/// With a mask the render is replaced by the recorded image inside it before windows are taken, and the
+/// mean is over the pixels outside.
 ///
 /// # Errors
 /// As [`psnr_db`].
@@ -134,7 +134,7 @@ fn ssim_of_checked<A: Pixel, B: Pixel>(
 /// SSIM = (2 μₓ μᵧ + C₁)(2 σₓᵧ + C₂) / ((μₓ² + μᵧ² + C₁)(σₓ² + σᵧ² + C₂))
 ///
 /// with μ = g∗x, σₓ² = g∗x² - μₓ², σₓᵧ = g∗(xy) - μₓ μᵧ; g an 11x11 Gaussian of sigma 1.5 px and
-/// sum 1, zeros outside the picture, C₁ = 0.01², C₂ = 0.03².
+/// sum 1, zeros outside the image, C₁ = 0.01², C₂ = 0.03².
 ///
 /// Source: Wang et al. 2004, with the padding of the 3DGS training code (others crop or reflect:
 /// figures differ within 5 px of the border). Golden: `image_metrics/ssim_*`.
@@ -158,7 +158,7 @@ const TAPS: usize = 2 * RADIUS + 1;
 const SIGMA_PX: f64 = 1.5;
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
-/// Rows per piece of work: small enough for two threads to share a picture evenly.
+/// Rows per piece of work: small enough to balance two threads.
 const ROWS_PER_CHUNK: usize = 16;
 
 /// exp(-d²/2σ²), divided by its sum.
@@ -180,7 +180,7 @@ fn add_scaled(sum: &mut Moments, weight: f64, m: &Moments) {
     }
 }
 
-/// [`ssim_map`] of pictures known to fit.
+/// [`ssim_map`] of checked images.
 fn similarity<A: Pixel, B: Pixel>(
     render: &Image<A>,
     truth: &Image<B>,
@@ -254,7 +254,7 @@ pub(crate) fn no_pixels() -> EvalError {
     }
 }
 
-/// Indices of the pixels that count.
+/// Indices of the judged pixels.
 pub(crate) fn judged(n: usize, excluded: Option<&MaskImage>) -> impl Iterator<Item = usize> {
     (0..n).filter(move |&i| excluded.is_none_or(|mask| mask.data()[i] == 0))
 }
@@ -277,7 +277,7 @@ pub(crate) fn check_sizes<A, B>(
     Ok(())
 }
 
-/// Number of pixels that count; all of them finite.
+/// Number of judged pixels; all of them are finite.
 fn check<A: Pixel, B: Pixel>(
     render: &Image<A>,
     truth: &Image<B>,
@@ -296,13 +296,13 @@ fn check<A: Pixel, B: Pixel>(
         let counts = excluded.is_none_or(|mask| mask.data()[index] == 0);
         pixels += usize::from(counts);
         for c in 0..A::CHANNELS {
-            // Behind the mask the true picture still enters SSIM's windows.
+            // Inside the mask the true image still enters SSIM's windows.
             if counts && !render.data()[index].channel(c).is_finite() {
                 let what = "pixel of the render";
                 return Err(EvalError::NonFinite { what, index });
             }
             if !truth.data()[index].channel(c).is_finite() {
-                let what = "pixel of the recorded picture";
+                let what = "pixel of the recorded image";
                 return Err(EvalError::NonFinite { what, index });
             }
         }
@@ -335,9 +335,9 @@ mod tests {
     }
 
     #[test]
-    fn ssim_of_a_picture_with_itself_is_one() {
+    fn ssim_of_an_image_with_itself_is_one() {
         let x = noise(1, 23, 17);
-        let map = ssim_map(&x, &x, Par::Seq).expect("same picture");
+        let map = ssim_map(&x, &x, Par::Seq).expect("same image");
         let worst = map
             .data()
             .iter()
@@ -401,7 +401,7 @@ mod tests {
         }
     }
 
-    /// What happens behind the mask is invisible, and the rest is not.
+    /// Pixels inside the mask have no influence, pixels outside have.
     #[test]
     fn masked_pixels_neither_count_nor_leak() {
         let (x, y) = (noise(1, 30, 20), noise(2, 30, 20));
@@ -410,17 +410,17 @@ mod tests {
             (12..14, _) => 128,
             _ => 0,
         });
-        let judge = |x: &Image<[f32; 3]>| compare_pictures(x, &y, Some(&mask), Par::Seq);
+        let judge = |x: &Image<[f32; 3]>| compare_images(x, &y, Some(&mask), Par::Seq);
         let before = judge(&x).expect("same size");
         assert_eq!(before.pixels, 600 - 7 * 12 - 2 * 20, "judged pixels");
         let mut hidden = x.clone();
         hidden[(6, 4)] = [9.0; 3];
         hidden[(12, 0)] = [f32::NAN; 3];
-        assert_eq!(judge(&hidden), Ok(before), "behind the mask");
+        assert_eq!(judge(&hidden), Ok(before), "inside the mask");
         let mut seen = x.clone();
         seen[(4, 4)] = [0.5; 3];
         assert_ne!(judge(&seen), Ok(before), "beside it");
-        let nothing = compare_pictures(&x, &y, Some(&Image::new(30, 20, 255)), Par::Seq);
+        let nothing = compare_images(&x, &y, Some(&Image::new(30, 20, 255)), Par::Seq);
         assert_eq!(nothing, Err(no_pixels()), "nothing left");
     }
 
@@ -433,7 +433,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_input_is_named() {
+    fn bad_input_is_reported() {
         let x = noise(1, 8, 8);
         let error = psnr_db(&x, &noise(1, 8, 7), None).expect_err("size");
         let text = "render: expected (8, 7), got (8, 8)";

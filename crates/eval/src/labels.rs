@@ -1,28 +1,27 @@
-//! Moving or static: precision, recall, F1 and IoU, frame by frame and over a run.
+//! Labels (moving or static) against the truth: precision, recall, F1 and IoU of frames and runs.
 
 use garad_core::MaskImage;
 use serde::{Deserialize, Serialize};
 
 use crate::EvalError;
-use crate::metrics::{KeypointLabels, LabelMetrics, PixelLabels};
 
 /// Counts of decisions; *positive* means moving.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Confusion {
-    /// Called moving, and is.
+    /// Labelled moving, and moving.
     pub true_positives: u64,
-    /// Called moving, but is static.
+    /// Labelled moving, but static.
     pub false_positives: u64,
-    /// Called static, but is moving.
+    /// Labelled static, but moving.
     pub false_negatives: u64,
-    /// Called static, and is.
+    /// Labelled static, and static.
     pub true_negatives: u64,
 }
 
 impl Confusion {
     /// Counts one decision.
-    pub fn add(&mut self, called_moving: bool, is_moving: bool) {
-        let count = match (called_moving, is_moving) {
+    pub fn add(&mut self, labelled_moving: bool, is_moving: bool) {
+        let count = match (labelled_moving, is_moving) {
             (true, true) => &mut self.true_positives,
             (true, false) => &mut self.false_positives,
             (false, true) => &mut self.false_negatives,
@@ -31,8 +30,8 @@ impl Confusion {
         *count += 1;
     }
 
-    /// Counts two masks pixel by pixel. 255 means moving, 0 static; pixels whose truth is
-    /// anything else (unknown) are left out; a prediction other than 255 says static.
+    /// Counts two masks pixel by pixel. 255 means moving, 0 static; pixels with any other true value
+    /// (unknown) are not counted; a prediction other than 255 counts as static.
     ///
     /// # Errors
     /// [`EvalError::SizeMismatch`].
@@ -56,8 +55,8 @@ impl Confusion {
     /// Counts labelled keypoints by the pixel of the true mask that each lies in.
     ///
     /// (x, y) lies in the pixel whose centre is nearest: pixel 3 spans [2.5, 3.5). Keypoints
-    /// outside the picture, not finite, or on a pixel of unknown truth are left out. The mask is
-    /// of the picture the keypoints were found in: both distorted, or neither.
+    /// outside the image, not finite, or on a pixel of unknown truth are not counted. The mask belongs to
+    /// the image of the keypoints: both distorted, or neither.
     ///
     /// # Example
     /// ```
@@ -70,11 +69,11 @@ impl Confusion {
     /// ```
     #[must_use]
     pub fn of_keypoints(
-        called_moving: impl IntoIterator<Item = ([f64; 2], bool)>,
+        labelled_moving: impl IntoIterator<Item = ([f64; 2], bool)>,
         truth: &MaskImage,
     ) -> Self {
         let mut counts = Self::default();
-        for ([x, y], moving) in called_moving {
+        for ([x, y], moving) in labelled_moving {
             let at = pixel(x, truth.width()).zip(pixel(y, truth.height()));
             match at.map(|at| truth[at]) {
                 Some(0) => counts.add(moving, false),
@@ -85,13 +84,13 @@ impl Confusion {
         counts
     }
 
-    /// Decisions counted.
+    /// Number of decisions.
     #[must_use]
     pub fn total(&self) -> u64 {
         self.true_positives + self.false_positives + self.false_negatives + self.true_negatives
     }
 
-    /// TP / (TP + FP): how much of what was called moving is. `None` when nothing was called so.
+    /// TP / (TP + FP): the share of moving among all labelled moving. `None` if there are none.
     #[must_use]
     pub fn precision(&self) -> Option<f64> {
         ratio(
@@ -100,7 +99,7 @@ impl Confusion {
         )
     }
 
-    /// TP / (TP + FN): how much of what moves was found. `None` when nothing moves.
+    /// TP / (TP + FN): the share of found among all moving. `None` if nothing moves.
     #[must_use]
     pub fn recall(&self) -> Option<f64> {
         ratio(
@@ -109,8 +108,8 @@ impl Confusion {
         )
     }
 
-    /// 2 TP / (2 TP + FP + FN), the harmonic mean of the two. `None` when nothing moves and
-    /// nothing was called moving.
+    /// 2 TP / (2 TP + FP + FN), the harmonic mean of the two. `None` if nothing moves and nothing was
+    /// labelled moving.
     #[must_use]
     pub fn f1(&self) -> Option<f64> {
         let errors = self.false_positives + self.false_negatives;
@@ -134,7 +133,7 @@ impl std::ops::AddAssign for Confusion {
     }
 }
 
-/// The pixel of 0..n that a coordinate lies in; `None` outside, and for NaN.
+/// The pixel of 0..n that contains a coordinate; `None` outside, and for NaN.
 fn pixel(x: f64, n: usize) -> Option<usize> {
     let nearest = (x + 0.5).floor();
     #[allow(
@@ -150,20 +149,19 @@ fn pixel(x: f64, n: usize) -> Option<usize> {
 pub struct FrameLabels {
     /// Time of the frame, seconds.
     pub t_s: f64,
-    /// Labels of keypoints; `None` where the frame has none to judge, as when it was not tracked.
+    /// Labels of keypoints; `None` if the frame has none, for example if it was not tracked.
     pub keypoints: Option<Confusion>,
-    /// A rendered mask; `None` where none was rendered.
+    /// The mask; `None` if there is none.
     pub pixels: Option<Confusion>,
 }
 
 /// Counts of every judged frame of a run, in order.
 ///
-/// Figures over the run are of the summed counts: a frame counts by its decisions, and frames in
-/// which nothing moves count by their false alarms. A mean of the frames' own figures would have to
-/// leave those out.
+/// Figures of a run are computed from the summed counts, so that frames in which nothing moves count with
+/// their false positives; a mean of the figures of the frames would have to skip them.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct RunLabels {
-    /// Frame by frame.
+    /// One entry per frame.
     pub frames: Vec<FrameLabels>,
 }
 
@@ -178,15 +176,6 @@ impl RunLabels {
     #[must_use]
     pub fn pixels(&self) -> Confusion {
         sum(self.frames.iter().filter_map(|frame| frame.pixels))
-    }
-
-    /// The figures of `metrics.json`; `None` in them where nothing could be judged.
-    #[must_use]
-    pub fn metrics(&self) -> LabelMetrics {
-        LabelMetrics {
-            keypoints: KeypointLabels::from(&self.keypoints()),
-            pixels: PixelLabels::from(&self.pixels()),
-        }
     }
 }
 
@@ -203,6 +192,7 @@ fn ratio(part: u64, whole: u64) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::metrics::LabelMetrics;
     use garad_core::Image;
 
     fn is(actual: Option<f64>, expected: f64) -> bool {
@@ -218,8 +208,8 @@ mod tests {
         let expected = Confusion {
             true_positives: 2,
             false_positives: 1,
-            false_negatives: 3, // an undecided prediction is no find
-            true_negatives: 1,  // the pixel of unknown truth is nowhere
+            false_negatives: 3, // an undecided prediction counts as static
+            true_negatives: 1,  // the pixel of unknown truth is not counted
         };
         assert_eq!(counts, expected, "counts");
         assert!(
@@ -267,7 +257,7 @@ mod tests {
         let calm = Confusion::of_keypoints([([1.0, 0.0], false), ([0.0, 0.0], false)], &truth);
         assert_eq!((calm.false_negatives, calm.true_negatives), (1, 1), "calm");
         let nothing = Confusion::of_keypoints([([0.0, 0.0], true)], &Image::new(0, 0, 0));
-        assert_eq!(nothing.total(), 0, "no picture");
+        assert_eq!(nothing.total(), 0, "no image");
     }
 
     /// Counts are summed, not figures averaged.
@@ -288,7 +278,7 @@ mod tests {
                 },
                 FrameLabels {
                     t_s: 0.1,
-                    keypoints: Some(counts([0, 2, 0, 98])), // nothing moves, two false alarms
+                    keypoints: Some(counts([0, 2, 0, 98])), // nothing moves, two false positives
                     pixels: None,
                 },
                 FrameLabels {
@@ -300,26 +290,26 @@ mod tests {
         };
         assert_eq!(run.keypoints(), counts([8, 4, 0, 188]), "keypoints");
         assert_eq!(run.pixels(), counts([10, 0, 20, 170]), "pixels");
-        let metrics = run.metrics();
+        let metrics = LabelMetrics::from(&run);
         assert!(is(metrics.keypoints.precision, 8.0 / 12.0), "{metrics:?}");
         assert!(is(metrics.keypoints.recall, 1.0), "{metrics:?}");
         assert!(is(metrics.pixels.iou, 1.0 / 3.0), "{metrics:?}");
         assert!(is(metrics.pixels.f1, 0.5), "{metrics:?}");
-        let nothing = RunLabels::default().metrics();
+        let nothing = LabelMetrics::from(&RunLabels::default());
         assert_eq!(nothing, LabelMetrics::default(), "no frame, no figure");
     }
 
     #[test]
-    fn what_cannot_be_judged_is_none() {
+    fn undefined_figures_are_none() {
         let mut calm = Confusion::default();
         calm.add(false, false);
         let figures = [calm.precision(), calm.recall(), calm.f1(), calm.iou()];
-        assert_eq!(figures, [None; 4], "nothing moves, nothing called");
+        assert_eq!(figures, [None; 4], "nothing moves, nothing labelled");
         calm.add(true, false);
         assert!(calm.recall().is_none(), "nothing moves");
         assert!(
             is(calm.precision(), 0.0) && is(calm.f1(), 0.0),
-            "a false alarm"
+            "a false positive"
         );
         let uneven = Confusion::of_masks(&Image::new(2, 2, 0), &Image::new(2, 3, 0));
         assert!(uneven.is_err(), "sizes");

@@ -1,11 +1,11 @@
-//! How good is a run: trajectories, pictures, labels; and the pages that say so.
+//! Evaluation of a run: trajectories, images, labels; `metrics.json` and `report.html`.
 //!
-//! Reading order: [`mod@associate`] (which estimate belongs to which truth) → [`align`] (the best
-//! rigid motion between two point lists) → [`mod@ate`], [`mod@rpe`] (trajectory errors, the numbers of
-//! the papers) → [`image_metrics`], [`depth`], [`mod@ghosts`], [`labels`] (pictures and segmentations) →
-//! [`metrics`] (`metrics.json`) → [`plot`], [`report`] (`report.html`).
+//! Reading order: [`mod@associate`] (pairs of poses by time) → [`align`] (the best rigid motion between
+//! two point lists) → [`mod@ate`], [`mod@rpe`] (trajectory errors, as in the papers) →
+//! [`image_metrics`], [`depth`], [`mod@ghosts`], [`labels`] (images and segmentations) → [`metrics`]
+//! (`metrics.json`) → [`plot`], [`report`] (`report.html`).
 //!
-//! No function here reads a file or a clock: values in, values out.
+//! No function here reads a file or a clock.
 
 pub mod align;
 pub mod associate;
@@ -27,7 +27,7 @@ pub use ate::{Ate, AteOptions, AtePoint, ate};
 pub use depth::{DepthL1, depth_l1};
 pub use error::EvalError;
 pub use ghosts::{GHOST_GAP_M, Ghosts, ghosts};
-pub use image_metrics::{PictureQuality, compare_pictures, psnr_db, ssim, ssim_map};
+pub use image_metrics::{ImageQuality, compare_images, psnr_db, ssim, ssim_map};
 pub use labels::{Confusion, FrameLabels, RunLabels};
 pub use metrics::{DepthMetrics, Metrics, RenderMetrics, StageTiming};
 pub use report::{FrameState, ReportData, Strip};

@@ -1,17 +1,17 @@
-//! `metrics.json`: the figures of a run for machines. The keys do not change.
+//! `metrics.json`: the figures of a run for machines. Its keys are stable.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Ate, Confusion, Rpe};
+use crate::{Ate, Confusion, Rpe, RunLabels};
 
-/// Version of the layout; raised when a key changes its meaning or goes.
+/// Version of the layout; increased when the meaning of a key changes or a key is removed.
 pub const SCHEMA: u32 = 1;
 
-/// All figures of a run. Every key is always present; a figure that cannot be judged is `null`.
+/// All figures of a run. Every key is always present; an unknown figure is `null`.
 ///
-/// Keys are written in the order of the fields, so that two files differ only where runs do.
+/// Keys are written in the order of the fields.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Metrics {
     /// [`SCHEMA`].
@@ -30,14 +30,14 @@ pub struct Metrics {
     pub ate: AteMetrics,
     /// Relative pose error over 1 s.
     pub rpe: RpeMetrics,
-    /// All frames, whole picture.
+    /// All frames, whole image.
     pub render: RenderMetrics,
     /// All frames, outside the moving mask.
     pub render_static: RenderMetrics,
     /// All frames, rendered depth against measured depth.
     #[serde(default)]
     pub render_depth: DepthMetrics,
-    /// Moving or static.
+    /// Labels, moving or static.
     pub labels: LabelMetrics,
     /// The map at the end.
     pub map: MapMetrics,
@@ -62,7 +62,7 @@ pub struct AteMetrics {
     pub std_m: Option<f64>,
     /// Largest, metres.
     pub max_m: Option<f64>,
-    /// Pairs of poses judged.
+    /// Pairs of poses.
     pub pairs: Option<usize>,
 }
 
@@ -84,14 +84,14 @@ pub struct RenderMetrics {
     pub ssim: Option<f64>,
 }
 
-/// See [`crate::depth_l1()`]; means over frames, outside the moving mask where there is one.
+/// See [`crate::depth_l1()`]; means over frames, outside the moving mask if there is one.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct DepthMetrics {
     /// Mean absolute error, metres.
     pub l1_m: Option<f64>,
-    /// Share of the measured pixels that the map shows, in [0, 1].
+    /// Share of the measured pixels with rendered depth, in [0, 1].
     pub coverage: Option<f64>,
-    /// Share of the pixels where the map stands in front of what was measured, see
+    /// Share of the pixels whose rendered depth is in front of the measured depth, see
     /// [`crate::ghosts()`].
     #[serde(default)]
     pub ghosts: Option<f64>,
@@ -102,30 +102,30 @@ pub struct DepthMetrics {
 pub struct LabelMetrics {
     /// Labels of keypoints.
     pub keypoints: KeypointLabels,
-    /// Rendered masks.
+    /// Masks.
     pub pixels: PixelLabels,
 }
 
 /// Labels of keypoints against the true mask.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct KeypointLabels {
-    /// How much of what was called moving is.
+    /// Share of moving among all labelled moving.
     pub precision: Option<f64>,
-    /// How much of what moves was found.
+    /// Share of found among all moving.
     pub recall: Option<f64>,
     /// Harmonic mean of the two.
     pub f1: Option<f64>,
-    /// Share of the static keypoints that were called moving.
+    /// Share of the static keypoints that were labelled moving.
     #[serde(default)]
     pub wrongly_dynamic: Option<f64>,
 }
 
-/// Rendered masks against the true ones.
+/// Masks against the true ones.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct PixelLabels {
-    /// How much of what was called moving is.
+    /// Share of moving among all labelled moving.
     pub precision: Option<f64>,
-    /// How much of what moves was found.
+    /// Share of found among all moving.
     pub recall: Option<f64>,
     /// Harmonic mean of the two.
     pub f1: Option<f64>,
@@ -136,7 +136,7 @@ pub struct PixelLabels {
 /// Size of the map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct MapMetrics {
-    /// Gaussians in all.
+    /// All Gaussians.
     pub gaussians: Option<usize>,
     /// Those labelled dynamic.
     pub dynamic: Option<usize>,
@@ -149,12 +149,12 @@ pub struct StageTiming {
     pub median_ms: f64,
     /// 95 of 100 calls were faster, milliseconds.
     pub p95_ms: f64,
-    /// How often it ran.
+    /// Number of calls.
     pub calls: usize,
 }
 
 impl Metrics {
-    /// Nothing judged yet.
+    /// Without figures.
     #[must_use]
     pub fn new(version: &str, dataset: &str) -> Self {
         Self {
@@ -167,14 +167,14 @@ impl Metrics {
 
     /// The text of `metrics.json`, two spaces of indentation, ending in a newline.
     ///
-    /// JSON has no NaN and no infinity: they become `null`, as everything that cannot be judged.
+    /// JSON has no NaN and no infinity: they become `null`, like unknown figures.
     ///
     /// # Panics
-    /// Never: text keys and plain numbers are all that is in it.
+    /// Never: it contains only text keys and numbers.
     #[must_use]
     pub fn to_json(&self) -> String {
         let text = serde_json::to_string_pretty(self);
-        text.expect("text keys and plain numbers") + "\n"
+        text.expect("text keys and numbers have a JSON form") + "\n"
     }
 
     /// Reads what [`Metrics::to_json`] wrote.
@@ -200,11 +200,21 @@ impl From<&Ate> for AteMetrics {
 }
 
 impl From<&Rpe> for RpeMetrics {
-    /// Meant for steps of 1 s, the default of [`crate::RpeOptions`].
+    /// For steps of 1 s, the default of [`crate::RpeOptions`].
     fn from(rpe: &Rpe) -> Self {
         Self {
             trans_rmse_m_per_s: Some(rpe.trans_m.rmse),
             rot_rmse_deg_per_s: Some(rpe.rot_deg.rmse),
+        }
+    }
+}
+
+impl From<&RunLabels> for LabelMetrics {
+    /// `None` in figures that are undefined.
+    fn from(run: &RunLabels) -> Self {
+        Self {
+            keypoints: (&run.keypoints()).into(),
+            pixels: (&run.pixels()).into(),
         }
     }
 }
@@ -271,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn the_keys_stay() {
+    fn keys_are_stable() {
         let mut metrics = Metrics::new("0.1.0", "demo");
         let timing = StageTiming::of(&[3.0, 1.0]).expect("two calls");
         metrics.timing.insert("track".to_owned(), timing);
@@ -293,7 +303,7 @@ mod tests {
             .collect();
         expected.sort_unstable();
         assert_eq!(found, expected, "keys");
-        assert!(value["ate"]["rmse_m"].is_null(), "not judged is null");
+        assert!(value["ate"]["rmse_m"].is_null(), "unknown is null");
         assert_eq!(value["schema"], 1, "schema");
         assert!(value["timing"]["track"]["calls"] == 2, "count");
     }

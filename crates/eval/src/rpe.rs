@@ -51,15 +51,15 @@ pub struct Rpe {
 ///
 /// E = (Q_a⁻¹ Q_b)⁻¹ (P_a⁻¹ P_b),   translation |t_E|,   rotation |log R_E| in degrees.
 ///
-/// No alignment takes part: E does not depend on either world.
+/// No alignment is needed: E does not depend on either world.
 ///
 /// - [`RpeDelta::Frames`]: a the i-th associated pair, b the (i + delta)-th (evo, all pairs).
-/// - [`RpeDelta::Seconds`]: for each estimate the one nearest to `delta` seconds later is its
-///   partner; the last estimate is nobody's. As in the TUM script, a is the *later* of the two,
-///   which changes |t_E| in the second order: there the motion back is compared. Two rules keep
-///   holes in a trajectory out: both ends need ground truth within `max_dt_s` (the script allows
-///   two sampling intervals, the same 0.02 s at 100 Hz), and a step must last between 1/2 and
-///   3/2 of `delta` (the script would pair a pose with itself across a hole: error 0).
+/// - [`RpeDelta::Seconds`]: the partner of an estimate is the one nearest to `delta` seconds later,
+///   except the last one. As in the TUM script, a is the *later* of the two, so that the backward motion
+///   is compared, which changes |t_E| in the second order. Two rules exclude gaps in a trajectory: both
+///   ends need ground truth within `max_dt_s` (the script allows two sampling intervals, the same 0.02 s
+///   at 100 Hz), and a step must last between 1/2 and 3/2 of `delta` (the script would pair a pose with
+///   itself across a gap: error 0).
 ///
 /// The error of a step is not divided by its true length.
 ///
@@ -133,7 +133,7 @@ fn steps_by_time(
             continue;
         };
         matched = true;
-        // Nearest to the end of the step; one that is off by half a step is none.
+        // Nearest to the end of the step, less than half a step off.
         let end_s = estimate[start].t_s + delta_s;
         let Some(end) = nearest_in_time(estimate, end_s, 0.5 * delta_s) else {
             continue;
@@ -201,9 +201,9 @@ mod tests {
         );
     }
 
-    /// Tracking lost for 3 s: no step spans the hole, none has length 0.
+    /// Tracking lost for 3 s: no step spans the gap, none has length 0.
     #[test]
-    fn holes_make_no_steps() {
+    fn gaps_have_no_steps() {
         let truth = straight(90, 1.0, 0.0);
         let mut estimate = straight(90, 1.1, 0.0);
         estimate.drain(30..60);

@@ -1,4 +1,4 @@
-//! [`Stats`]: the summary of a list of errors that papers print.
+//! [`Stats`]: summary of a list of errors, as in papers.
 
 use serde::{Deserialize, Serialize};
 
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_nothing_and_nan() {
+    fn empty_lists_and_nan_are_errors() {
         let nothing = Stats::of(&[]);
         assert_eq!(
             nothing,

@@ -1,4 +1,4 @@
-//! [`Actor`]: whatever moves in a scene, as solids at a time.
+//! [`Actor`]: a moving object, as solids at a given time.
 
 use garad_core::{Se3, So3};
 use nalgebra::Vector3;
@@ -10,41 +10,41 @@ use crate::material::Material;
 use crate::shape::Shape;
 use crate::solid::{Builder, Solid, yaw};
 
-/// Slower than this a mover counts as standing, metres per second. It is all of a mover that counts:
-/// someone who stands and turns the head moves.
+/// Below this speed of its fastest point an object counts as static, metres per second: a person who stands
+/// and turns the head moves.
 const STANDS_BELOW_M_S: f64 = 0.015;
 
-/// A mover with an object id of its own.
+/// A moving object with its id.
 #[derive(Debug, Clone)]
 pub(crate) struct Actor {
     pub(crate) object: u8,
     pub(crate) role: Role,
 }
 
-/// What kind of mover.
+/// Kind of moving object.
 #[derive(Debug, Clone)]
 pub(crate) enum Role {
-    /// Someone on a course.
+    /// A person on a course.
     Person { figure: Figure, course: Course },
-    /// The box that such a person carries.
+    /// The box carried by a person.
     Load {
         figure: Figure,
         course: Course,
         seed: u32,
     },
-    /// A trolley with boxes: keeps its heading and rolls along it.
+    /// A trolley with boxes, with constant heading.
     Trolley {
         course: Course,
         heading_rad: f64,
         seed: u32,
     },
-    /// A chair that is drawn along, turned as it stood.
+    /// A chair that is dragged, with constant heading.
     Chair {
         course: Course,
         heading_rad: f64,
         seed: u32,
     },
-    /// A ball that rolls.
+    /// A rolling ball.
     Ball {
         course: Course,
         heading_rad: f64,
@@ -54,7 +54,7 @@ pub(crate) enum Role {
 }
 
 impl Actor {
-    /// Its solids at a time: always as many, in the same order, of the same shapes.
+    /// Its solids at a time: always the same shapes in the same order.
     pub(crate) fn solids(&self, t_s: f64) -> Vec<Solid> {
         match &self.role {
             Role::Person { figure, course } => {
@@ -89,12 +89,12 @@ impl Actor {
                 course,
                 heading_rad,
                 seed,
-            } => self.on_its_way(course, t_s, *heading_rad, *seed, trolley),
+            } => self.on_course(course, t_s, *heading_rad, *seed, trolley),
             Role::Chair {
                 course,
                 heading_rad,
                 seed,
-            } => self.on_its_way(course, t_s, *heading_rad, *seed, chair),
+            } => self.on_course(course, t_s, *heading_rad, *seed, chair),
             Role::Ball {
                 course,
                 heading_rad,
@@ -103,7 +103,7 @@ impl Actor {
             } => {
                 let at = course.place(t_s).at;
                 let (sin, cos) = libm::sincos(*heading_rad);
-                // rolling without slipping: turned by way / radius about the axis to the left
+                // rolling without slipping: rotated by way / radius about the axis to the left
                 let way = at.x * cos + at.y * sin;
                 let roll = So3::exp(&(Vector3::new(-sin, cos, 0.0) * (way / radius)));
                 vec![Solid {
@@ -118,7 +118,7 @@ impl Actor {
         }
     }
 
-    /// Whether any point of it goes faster than [`STANDS_BELOW_M_S`] between two times.
+    /// Whether any corner of its parts is faster than [`STANDS_BELOW_M_S`] between two times.
     pub(crate) fn moves_between(&self, t0_s: f64, t1_s: f64) -> bool {
         let limit = STANDS_BELOW_M_S * (t1_s - t0_s).abs();
         let (before, after) = (self.solids(t0_s), self.solids(t1_s));
@@ -129,8 +129,8 @@ impl Actor {
         })
     }
 
-    /// A piece of furniture where its course has it.
-    fn on_its_way(
+    /// A piece of furniture at its place on the course.
+    fn on_course(
         &self,
         course: &Course,
         t_s: f64,
@@ -151,7 +151,7 @@ impl Actor {
 
 fn person(figure: &Figure, course: &Course, t_s: f64) -> (Se3, Step) {
     let place = course.place(t_s);
-    // someone who talks turns a little
+    // a talking person turns slightly
     let sway = if figure.arms == Arms::Gesture {
         0.25 * libm::sin(0.8 * place.idle_s)
     } else {
@@ -171,29 +171,17 @@ fn person(figure: &Figure, course: &Course, t_s: f64) -> (Se3, Step) {
 
 /// Platform, wheels, handle and three boxes; rolls along x.
 fn trolley(b: &mut Builder) {
-    let bed = Material::Wood {
-        tone: [0.55, 0.40, 0.25],
-        seed: b.seed(),
-    };
+    let bed = b.wood([0.55, 0.40, 0.25]);
     b.block([0.0, 0.0, 0.17], [0.40, 0.25, 0.02], bed);
     for (x, y) in [(-0.32, -0.2), (0.32, -0.2), (-0.32, 0.2), (0.32, 0.2)] {
-        let rubber = Material::Painted {
-            tone: [0.12; 3],
-            seed: b.seed(),
-        };
+        let rubber = b.paint([0.12; 3]);
         b.ellipsoid([x, y, 0.075], [0.075, 0.03, 0.075], rubber);
     }
     for y in [-0.2, 0.2] {
-        let tube = Material::Painted {
-            tone: [0.75, 0.20, 0.15],
-            seed: b.seed(),
-        };
+        let tube = b.paint([0.75, 0.20, 0.15]);
         b.rod([-0.37, y, 0.19], [-0.45, y, 0.98], 0.016, 0.016, tube);
     }
-    let grip = Material::Painted {
-        tone: [0.15; 3],
-        seed: b.seed(),
-    };
+    let grip = b.paint([0.15; 3]);
     b.rod([-0.45, -0.21, 0.98], [-0.45, 0.21, 0.98], 0.02, 0.02, grip);
     for (centre, half, turn) in [
         ([-0.05, 0.0, 0.36], [0.27, 0.22, 0.17], 0.0),
@@ -233,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn standing_and_moving_are_told_apart() {
+    fn standing_and_moving_are_distinguished() {
         let course = Course::ellipse([0.0, 0.0], [1.0, 0.0], 0.0, 0.5, 1.5);
         let schedule = crate::course::Schedule::StopAndGo {
             first_s: 1.0,

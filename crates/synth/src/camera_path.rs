@@ -1,4 +1,4 @@
-//! Where the camera goes: slow arcs, and the tremor of the hand that holds it.
+//! The path of the camera: slow arcs, and the tremor of the hand that holds it.
 
 use garad_core::{Rng, Se3, So3};
 use nalgebra::{Matrix3, Vector3};
@@ -13,7 +13,7 @@ pub(crate) struct CameraPath {
     phases: [f64; 12],
 }
 
-/// Half the length of the way of [`SceneName::InStep`], metres, and its rate.
+/// Amplitude of the motion of [`SceneName::InStep`], metres, and its rate, rad/s.
 pub(crate) const IN_STEP: (f64, f64) = (1.2, 0.35);
 
 impl CameraPath {
@@ -27,7 +27,7 @@ impl CameraPath {
 
     /// Exact pose at a time.
     pub(crate) fn world_from_camera(&self, t_s: f64) -> Se3 {
-        // A tripod has no time, and no hand that trembles.
+        // Neither motion nor tremor on a tripod.
         if self.name == SceneName::Tripod {
             let (position, target) = self.arc(0.0);
             return look_at(position, target);
@@ -87,7 +87,7 @@ impl CameraPath {
                     1.12 + 0.10 * s(0.7, 0.0),
                 ),
             ),
-            // In a crowd's midst nobody takes large steps.
+            // Among many people the camera moves little.
             SceneName::Throng => (
                 v(
                     -1.80 + 0.14 * s(1.3, 0.0),
@@ -133,7 +133,7 @@ impl CameraPath {
     }
 }
 
-/// The pose that looks from one point to another with the horizon level.
+/// The pose that looks from one point to another with a level horizon.
 fn look_at(from: Vector3<f64>, to: Vector3<f64>) -> Se3 {
     let forward = (to - from).normalize();
     let right = forward.cross(&Vector3::z()).normalize();
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn looks_where_it_should_with_the_sky_above() {
+    fn look_at_points_the_camera_and_keeps_up() {
         let pose = look_at(Vector3::new(1.0, 2.0, 1.5), Vector3::new(3.0, 2.0, 1.5));
         let p_cam = pose.inverse() * Vector3::new(3.0, 2.0, 2.0);
         assert!(
@@ -165,9 +165,9 @@ mod tests {
         assert!(left.x < 0.0, "+y is to the left of +x");
     }
 
-    /// As fast as a hand: 0.1 to 0.6 m/s, below 45°/s on average, and never through a wall.
+    /// Speeds of a hand-held camera: 0.1 to 0.6 m/s, below 45°/s, and never through a wall.
     #[test]
-    fn speeds_are_those_of_a_hand() {
+    fn speeds_are_those_of_a_hand_held_camera() {
         let by_hand = SceneName::all().into_iter();
         for name in by_hand.filter(|&name| name != SceneName::Tripod) {
             let path = CameraPath::new(name, 1);

@@ -1,4 +1,4 @@
-//! Who moves in which scene, and how the room is furnished for it.
+//! The moving objects and the furniture of each scene.
 
 use std::f64::consts::PI;
 
@@ -12,11 +12,11 @@ use crate::course::{Course, Schedule};
 use crate::figure::{Arms, Figure};
 use crate::room::Furnishing;
 
-/// Direction across the view of the scenes that look from the corner, radians.
+/// Direction across the view of the scenes seen from the corner, radians.
 const ACROSS_RAD: f64 = 2.2;
 
-/// (who, metres away, metres to the left, half the way to and fro, its rate, its phase) of the
-/// people of [`SceneName::Throng`].
+/// (person, metres away, metres to the left, amplitude in metres, rate, phase) of the people of
+/// [`SceneName::Throng`].
 const THRONG: [(usize, f64, f64, f64, f64, f64); 5] = [
     (0, 1.00, 0.46, 0.12, 1.6, 0.0),
     (2, 1.05, -0.44, 0.14, 1.5, 2.1),
@@ -25,7 +25,7 @@ const THRONG: [(usize, f64, f64, f64, f64, f64); 5] = [
     (0, 2.00, -0.45, 0.30, 1.2, 3.0),
 ];
 
-/// Goes from before the recording until then.
+/// Moves from before the recording until `stop_s`.
 fn until(stop_s: f64) -> Schedule {
     Schedule::Once {
         start_s: -1.0,
@@ -33,9 +33,9 @@ fn until(stop_s: f64) -> Schedule {
     }
 }
 
-/// Stands until then, takes a few steps across the view in 1.6 s, stands for 1.2 s and goes back.
+/// Stands until `first_s`, then takes a few steps across the view in 1.6 s, stands for 1.2 s and goes back.
 fn to_and_fro(centre: [f64; 2], phase_rad: f64, first_s: f64) -> Course {
-    // half a lap in the 1.2 s that a go has without its ramps
+    // half a lap in the 1.2 s that a motion has without its ramps
     Course::ellipse(centre, [0.36, 0.06], ACROSS_RAD, PI / 1.2, phase_rad).with_schedule(
         Schedule::StopAndGo {
             first_s,
@@ -45,7 +45,7 @@ fn to_and_fro(centre: [f64; 2], phase_rad: f64, first_s: f64) -> Course {
     )
 }
 
-/// Stands until then and goes ever after.
+/// Stands until `start_s`, then moves for ever.
 fn from(start_s: f64) -> Schedule {
     Schedule::Once {
         start_s,
@@ -64,7 +64,7 @@ pub(crate) fn furnishing(name: SceneName) -> Furnishing {
     }
 }
 
-/// The movers of a scene. Object ids are 1, 2, ... in this order.
+/// The moving objects of a scene. Ids are 1, 2, ... in this order.
 pub(crate) fn actors(name: SceneName, seed: u64) -> Vec<Actor> {
     let mut rng = Rng::keyed(seed, &[0xAC]);
     let mut cast = Cast {
@@ -178,7 +178,7 @@ pub(crate) fn actors(name: SceneName, seed: u64) -> Vec<Actor> {
         SceneName::Throng => {
             for (who, away_m, aside_m, sweep_m, rate, phase) in THRONG {
                 let (sin, cos) = libm::sincos(ACROSS_RAD);
-                // from the place of the camera: away along the view, aside across it
+                // from the camera: away along the view, aside across it
                 let at = [
                     -1.80 + away_m * sin + aside_m * cos,
                     -1.34 - away_m * cos + aside_m * sin,
@@ -274,7 +274,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ids_count_from_one_and_quiet_scenes_are_empty() {
+    fn ids_count_from_one_and_static_scenes_are_empty() {
         for name in SceneName::all() {
             let actors = actors(name, 1);
             let quiet = matches!(name, SceneName::QuietDesk | SceneName::Loop);

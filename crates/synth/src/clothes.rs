@@ -1,4 +1,4 @@
-//! [`Cloth`]: what people wear and what covers the sofa; and faces.
+//! [`Cloth`]: textiles of clothes and furniture; and the texture of faces.
 
 use crate::pattern::{
     Rgb, band, bands, cell, disc, fade, fbm, hash, mix, noise, part, print, scale, spots,
@@ -12,11 +12,11 @@ pub(crate) enum Cloth {
     Plain(Rgb),
     /// Stripes around the body.
     Striped(Rgb, Rgb),
-    /// Checks of a lumberjack's shirt.
+    /// Checks.
     Checked(Rgb, Rgb),
     /// Blue twill with pale wear.
     Denim,
-    /// Flowers or flecks on a ground.
+    /// Flowers or flecks on a plain ground.
     Strewn(Rgb, Rgb),
     /// A print across the chest.
     Printed(Rgb, Rgb),

@@ -1,4 +1,4 @@
-//! What to make: [`SceneConfig`], [`SceneName`], and what can be wrong with them.
+//! [`SceneConfig`], [`SceneName`] and their errors.
 
 use std::fmt;
 use std::str::FromStr;
@@ -6,39 +6,38 @@ use std::str::FromStr;
 use garad_core::CameraError;
 use thiserror::Error;
 
-/// The scenes. Each is one room, one camera path and a cast of movers.
+/// The scenes. Each has one room, one camera path and its own moving objects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub enum SceneName {
-    /// Nothing moves; the camera swings around a cluttered desk.
+    /// Nothing moves; the camera moves around a cluttered desk.
     QuietDesk,
     /// Two people cross the room 2 to 3 m away, one of them carries a box.
     #[default]
     Walking,
-    /// Four people 1 to 2 m away cover a third to 60 % of the picture; the walls are plain. Two walk
-    /// to and fro, two talk and change places while they do.
+    /// Four people 1 to 2 m away cover a third to 60 % of the image; the walls are plain. Two walk to
+    /// and fro, two talk and change places meanwhile.
     Crowd,
     /// A trolley, a ball and a person stand still, start, stop and start again.
     StopAndGo,
-    /// Two people walk beside the camera at its own speed: in the picture they stand still
-    /// and the room moves.
+    /// Two people walk beside the camera at its speed: in the image they stand still and the room
+    /// moves.
     InStep,
-    /// Nothing moves; the camera goes round the room, 9.7 m and 25 s a lap.
+    /// Nothing moves; the camera circles the room, 9.7 m and 25 s a lap.
     Loop,
-    /// A trolley rolls and a person walks; at 1.5 s the one stops for good, at 2 s the other.
+    /// A trolley rolls and a person walks; the trolley stops for good at 1.5 s, the person at 2 s.
     ComesToRest,
-    /// A chair and a person stand as if they belonged to the room; at 1.5 s the one is drawn away,
-    /// at 2.2 s the other walks off.
+    /// A chair and a person stand still; at 1.5 s the chair is dragged away, at 2.2 s the person walks
+    /// off.
     SetsOff,
-    /// The people of [`SceneName::Walking`] before a camera that does not move at all.
+    /// The people of [`SceneName::Walking`] in front of a camera that does not move.
     Tripod,
-    /// [`SceneName::Walking`], and the light goes out twice: for 0.2 s at 1.2 s, for 0.5 s at 3 s.
-    /// Depth is measured all the same.
+    /// [`SceneName::Walking`], but the light is off twice: for 0.2 s at 1.2 s, for 0.5 s at 3 s. Depth is
+    /// measured as usual.
     LightsOut,
-    /// Five people 1 to 2 m away, all on the move, cover half to two thirds of the picture; the
-    /// walls are plain.
+    /// Five people 1 to 2 m away, all moving, cover half to two thirds of the image; the walls are plain.
     Throng,
-    /// [`SceneName::Crowd`], but who talks stays on the spot, so that a tenth of what the camera would
-    /// see of the room is never seen.
+    /// [`SceneName::Crowd`], but the two who talk stay in place, so that they hide a tenth of the visible
+    /// room in every frame.
     Huddle,
 }
 
@@ -91,7 +90,7 @@ impl fmt::Display for SceneName {
 impl FromStr for SceneName {
     type Err = SynthError;
 
-    /// Takes `-` for `_`.
+    /// Accepts `-` for `_`.
     fn from_str(name: &str) -> Result<Self, SynthError> {
         let wanted = name.replace('-', "_");
         Self::all()
@@ -103,7 +102,7 @@ impl FromStr for SceneName {
     }
 }
 
-/// What to make.
+/// A scene and its settings.
 ///
 /// # Example
 /// ```
@@ -115,19 +114,19 @@ impl FromStr for SceneName {
 pub struct SceneConfig {
     /// Which scene.
     pub name: SceneName,
-    /// How many frames the recording has.
+    /// Number of frames.
     pub frames: usize,
     /// Columns; the focal length is 525/640 of it.
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// Frames per second. Motion is a function of time: more frames per second mean smaller steps.
+    /// Frames per second. Motion is a function of time: a higher rate means smaller steps.
     pub fps: f64,
-    /// Textures, clothes, phases of the hand's tremor, sensor noise.
+    /// Seed of textures, clothes, phases of the hand tremor, sensor noise.
     pub seed: u64,
-    /// Depth and colour as a Kinect would see them instead of exact ones; see [`crate::noise`].
+    /// Depth and colour with the noise of a Kinect instead of exact ones; see [`crate::noise`].
     pub noise: bool,
-    /// The same recording without movers.
+    /// The same recording without moving objects.
     pub static_twin: bool,
     /// 1: one colour sample a pixel. 2: five, at the centre and the corners, where the corners are
     /// shared with the neighbours (twice the work). Depth, mask and ids are always of the centre.
@@ -135,7 +134,7 @@ pub struct SceneConfig {
 }
 
 impl SceneConfig {
-    /// 150 frames of 640x480 at 30 Hz, exact, with movers.
+    /// 150 frames of 640x480 at 30 Hz, exact, with moving objects.
     #[must_use]
     pub fn new(name: SceneName) -> Self {
         Self {
@@ -180,18 +179,18 @@ impl Default for SceneConfig {
     }
 }
 
-/// What is wrong with a [`SceneConfig`].
+/// An invalid [`SceneConfig`].
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum SynthError {
-    /// No such scene.
+    /// An unknown scene.
     #[error("no scene is called '{name}'; there are {}", SceneName::all().map(SceneName::as_str).join(", "))]
     UnknownScene {
-        /// What was asked for.
+        /// The name.
         name: String,
     },
-    /// A picture too small or too large.
-    #[error("picture of {width}x{height}; expected 8 to 8192 pixels a side")]
+    /// An image too small or too large.
+    #[error("image size {width}x{height}; expected 8 to 8192 pixels a side")]
     Size {
         /// Columns.
         width: usize,
@@ -213,7 +212,7 @@ pub enum SynthError {
         /// Its value.
         supersample: usize,
     },
-    /// The camera that follows from the size is not one.
+    /// The size gives an invalid camera.
     #[error(transparent)]
     Camera(#[from] CameraError),
 }
@@ -238,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn each_bad_number_is_named() {
+    fn each_bad_number_is_reported() {
         let good = SceneConfig::default();
         assert_eq!(good.validate(), Ok(()), "the default");
         let bad = [

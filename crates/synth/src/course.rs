@@ -1,18 +1,18 @@
-//! [`Course`]: the way a mover goes, and when.
+//! [`Course`]: the path of a moving object, and its schedule.
 
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::Vector2;
 
-/// When a mover goes: a clock of its own that can stand still.
+/// When an object moves: a clock that can stop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Schedule {
     /// Always.
     Steady,
-    /// Goes from `start_s`, which may lie before the recording, to `stop_s`, which may never come
-    /// (infinite); still before and after.
+    /// Moves from `start_s`, which may be before the recording, to `stop_s`, which may be infinite; at
+    /// rest before and after.
     Once { start_s: f64, stop_s: f64 },
-    /// Still until `first_s`, then `go_s` of motion and `stop_s` of rest in turn. Starting and
+    /// At rest until `first_s`, then alternately `go_s` of motion and `stop_s` of rest. Starting and
     /// stopping take [`RAMP_S`] each and are part of `go_s`.
     StopAndGo {
         first_s: f64,
@@ -25,7 +25,7 @@ pub(crate) enum Schedule {
 const RAMP_S: f64 = 0.4;
 
 impl Schedule {
-    /// (τ, dτ/dt): the mover's own time and its pace, 0 standing to 1 going.
+    /// (τ, dτ/dt): the time of the object and its rate, 0 at rest to 1 in motion.
     ///
     /// The pace rises as ½ - ½ cos(π x / RAMP_S), whose integral is ½ (x - RAMP_S/π sin(π x / RAMP_S)).
     pub(crate) fn own_time(&self, t_s: f64) -> (f64, f64) {
@@ -40,7 +40,7 @@ impl Schedule {
                 let since = (t_s - first_s).max(0.0);
                 let turns = (since / (go_s + stop_s)).floor();
                 let (within, pace) = one_go(since - turns * (go_s + stop_s), go_s);
-                // own time that passes in one go
+                // own time that passes in one motion
                 let a_turn = go_s - RAMP_S;
                 (turns * a_turn + within, pace)
             }
@@ -65,7 +65,7 @@ fn one_go(x: f64, go_s: f64) -> (f64, f64) {
     }
 }
 
-/// An ellipse on the floor, or with both half axes 0 a spot.
+/// An ellipse on the floor, or a point if both half axes are 0.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Course {
     centre: Vector2<f64>,
@@ -74,30 +74,30 @@ pub(crate) struct Course {
     rate_rad_s: f64,
     phase_rad: f64,
     schedule: Schedule,
-    /// Length of the way from angle 0 to each of [`STEPS`] + 1 equal steps, metres.
+    /// Arc length from angle 0 to each of [`STEPS`] + 1 equal steps, metres.
     lengths: Vec<f64>,
 }
 
 const STEPS: usize = 256;
 
-/// Where a mover is.
+/// Place of an object at a time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Place {
     /// Metres.
     pub(crate) at: Vector2<f64>,
     /// Direction of travel from +x towards +y, radians.
     pub(crate) heading_rad: f64,
-    /// Length of the way gone, metres.
+    /// Arc length travelled, metres.
     pub(crate) gone_m: f64,
-    /// 0 standing to 1 going.
+    /// 0 at rest to 1 in motion.
     pub(crate) pace: f64,
-    /// Clock of what a mover does besides going, such as looking around, seconds. Who stops for
-    /// good ([`Schedule::Once`]) holds still altogether.
+    /// Clock of motions on the spot, such as looking around, seconds. It stops for good with
+    /// [`Schedule::Once`].
     pub(crate) idle_s: f64,
 }
 
 impl Course {
-    /// An ellipse with half axes along and across `turn_rad`, gone round at a constant rate.
+    /// An ellipse with half axes along and across `turn_rad`, at a constant rate.
     pub(crate) fn ellipse(
         centre: [f64; 2],
         half_axes: [f64; 2],
@@ -163,7 +163,7 @@ impl Course {
         }
     }
 
-    /// Length of the way from angle 0; negative for negative angles.
+    /// Arc length from angle 0; negative for negative angles.
     fn length(&self, angle: f64) -> f64 {
         let laps = (angle / TAU).floor();
         let x = (angle / TAU - laps) * STEPS as f64;
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn a_circle_is_as_long_as_a_circle_and_headed_along_it() {
+    fn circles_have_the_right_length_and_heading() {
         let course = Course::ellipse([1.0, 2.0], [0.5, 0.5], 0.3, 2.0, 0.0);
         for k in 1..20 {
             let t = 0.3 * f64::from(k);

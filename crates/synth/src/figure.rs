@@ -1,56 +1,43 @@
-//! [`Figure`]: a person of round solids, and the walk that moves them.
+//! [`Figure`]: a person made of round solids.
 //!
-//! Frame of a figure: x forward, y left, z up, the origin on the floor between the feet. A stride is
-//! one cycle of the gait: each foot stands still on the floor for [`STANCE`] of it and swings
-//! forward for the rest, half a cycle after the other. Hips move on evenly, so a standing foot moves
-//! back in the figure's frame exactly as fast as the figure moves forward, and does not slide. Knees
-//! follow from hip and ankle (two bones of fixed length). Every part is rigid.
+//! Frame of a figure: x forward, y left, z up, the origin on the floor between the feet. Every part is
+//! rigid; the walk is in [`crate::gait`].
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 use garad_core::{Se3, So3};
 use nalgebra::Vector3;
 
 use crate::clothes::Cloth;
+use crate::gait::{ANKLE_M, BONE_M, HIP_M, STRIDE_M, ankle, knee, lift};
 use crate::material::Material;
 use crate::pattern::Rgb;
 use crate::shape::Shape;
 use crate::solid::rotation_along;
 
-/// Share of the cycle in which a foot stands.
-const STANCE: f64 = 0.6;
-/// A standing foot travels from this far before the hip to as far behind it, metres.
-const HALF_STEP_M: f64 = 0.28;
-/// Way gone in one cycle, metres.
-pub(crate) const STRIDE_M: f64 = 2.0 * HALF_STEP_M / STANCE;
-/// Height of the hips when both feet stand, metres; they rise by [`LIFT_M`] over a standing leg.
-const HIP_M: f64 = 0.88;
-const LIFT_M: f64 = 0.04;
-const ANKLE_M: f64 = 0.08;
-const BONE_M: f64 = 0.43;
 const UPPER_ARM_M: f64 = 0.28;
 const FOREARM_M: f64 = 0.25;
 
-/// Who talks with the hands does not stand like a post: weight goes from foot to foot, and the trunk
-/// turns with the arms. People left to stand as they like shift by several centimetres every few
-/// seconds (Duarte and Zatsiorsky 1999). (half the way, metres or radians; its rate, rad/s; share of
-/// the figure's phase) forward, to the left, and about the upright axis.
+/// Sway of a talking person: the weight shifts between the feet and the trunk turns with the arms. In
+/// unconstrained standing people shift by several centimetres every few seconds (Duarte and Zatsiorsky
+/// 1999). (amplitude, metres or radians; rate, rad/s; share of the phase of the figure) forward, to the
+/// left, and about the vertical axis.
 const SWAY: [(f64, f64, f64); 3] = [(0.030, 0.7, 1.7), (0.045, 1.1, 1.0), (0.14, 0.9, 0.6)];
-/// Hips of who sways are lower by so much: knees that are straight do not let them, metres.
+/// Lowering of the hips of a swaying person, metres: straight knees do not allow sway.
 const SWAY_BEND_M: f64 = 0.035;
 
-/// What the arms do.
+/// Motion of the arms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Arms {
     /// Swing against the legs.
     Swing,
-    /// Hold a box before the chest.
+    /// Hold a box in front of the chest.
     Carry,
-    /// Talk with the hands.
+    /// Gestures of a talking person.
     Gesture,
 }
 
-/// Looks of a person.
+/// Appearance of a person.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Figure {
     pub(crate) height_m: f64,
@@ -74,24 +61,24 @@ pub(crate) struct Part {
     pub(crate) figure_from_part: Se3,
 }
 
-/// Where in the walk a figure is.
+/// Phase of the motion of a figure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Step {
-    /// Way gone, metres.
+    /// Distance walked, metres.
     pub(crate) gone_m: f64,
-    /// For what moves without walking, seconds.
+    /// Clock of motions on the spot, seconds.
     pub(crate) t_s: f64,
     /// 0: arms and hips at rest. 1: full swing.
     pub(crate) pace: f64,
 }
 
-/// The box that [`Arms::Carry`] holds: its middle and half extents.
+/// The box held by [`Arms::Carry`]: centre and half extents.
 pub(crate) const LOAD: ([f64; 3], [f64; 3]) = ([0.36, 0.0, 1.10], [0.13, 0.19, 0.14]);
 
 /// Collects parts in units of a figure 1.75 m tall.
 struct Body {
     k: f64,
-    /// How all above the hips stands off from upright over the feet, if it does.
+    /// Displacement of the upper body by sway, if any.
     sway: Option<Se3>,
     parts: Vec<Part>,
 }
@@ -104,7 +91,7 @@ impl Body {
         self.push(shape, Se3::new(rotation, at), material);
     }
 
-    /// From `at` in the direction of `to`; `length` is given so that it is the same at all times.
+    /// From `at` in the direction of `to`; `length` is given so that it is constant.
     fn limb(
         &mut self,
         at: Vector3<f64>,
@@ -134,38 +121,8 @@ impl Body {
     }
 }
 
-/// Ankle in the figure's frame at cycle position p in [0, 1): (forward, up above standing).
-fn ankle(p: f64) -> (f64, f64) {
-    if p < STANCE {
-        (HALF_STEP_M * (1.0 - 2.0 * p / STANCE), 0.0)
-    } else {
-        let s = (p - STANCE) / (1.0 - STANCE);
-        // leaves and lands with the speed of the floor: a cubic with those slopes
-        let slope = -2.0 * HALF_STEP_M / STANCE * (1.0 - STANCE);
-        let (s2, s3) = (s * s, s * s * s);
-        let x = -HALF_STEP_M * (2.0 * s3 - 3.0 * s2 + 1.0)
-            + HALF_STEP_M * (3.0 * s2 - 2.0 * s3)
-            + slope * (2.0 * s3 - 3.0 * s2 + s);
-        let up = libm::sin(PI * s);
-        (x, 0.11 * up * up)
-    }
-}
-
-/// Rise of the hips: most when a foot is half way through its stance.
-fn lift(cycle: f64) -> f64 {
-    LIFT_M * (0.5 + 0.5 * libm::cos(2.0 * TAU * (cycle - 0.5 * STANCE)))
-}
-
-/// The knee of a leg of two equal bones, bent forward.
-fn knee(hip: &Vector3<f64>, ankle: &Vector3<f64>) -> Vector3<f64> {
-    let half = 0.5 * (ankle - hip);
-    let bend = (BONE_M * BONE_M - half.norm_squared()).max(0.0).sqrt();
-    let across = half.cross(&Vector3::y()).normalize();
-    hip + half + across * bend.copysign(across.x)
-}
-
 impl Figure {
-    /// Every part at a moment, always in the same order and of the same shapes.
+    /// Every part at a time, always the same shapes in the same order.
     pub(crate) fn parts(&self, step: &Step) -> Vec<Part> {
         let k = self.height_m / 1.75;
         let mut body = Body {
@@ -184,7 +141,7 @@ impl Figure {
         body.parts
     }
 
-    /// From where the trunk is with feet together to where it is now. `None` for who does not sway.
+    /// Displacement of the trunk by sway. `None` for a person who does not sway.
     fn sway(&self, t_s: f64) -> Option<Se3> {
         let phase = f64::from(self.seed % 628) * 0.01;
         let of =
@@ -233,7 +190,7 @@ impl Figure {
             let leg = if self.skirt { tights } else { cloth };
             body.limb(hip, knee, BONE_M, [0.090, 0.062], leg);
             body.limb(knee, foot, BONE_M, [0.061, 0.043], leg);
-            // the toes hang while the foot is in the air
+            // toes point down while the foot is in the air
             let toe = foot + Vector3::new(0.19, 0.02 * side, -0.045 - 1.2 * up * (1.0 - p));
             let heel = foot + Vector3::new(-0.04, 0.0, -0.035);
             body.limb(heel, toe, 0.21, [0.045, 0.034], leather);
@@ -386,7 +343,7 @@ mod tests {
         }
     }
 
-    /// Rigid parts: whatever the moment, shapes are the same.
+    /// Parts are rigid: their shapes are constant.
     #[test]
     fn shapes_do_not_change() {
         for arms in [Arms::Swing, Arms::Carry, Arms::Gesture] {
@@ -402,26 +359,9 @@ mod tests {
         }
     }
 
-    /// Bones meet at the knee and the ankle, which a leg too short for its step would not.
+    /// A talking person sways by centimetres, within the reach of the legs; a walking person does not.
     #[test]
-    fn legs_are_long_enough() {
-        for k in 0..200 {
-            let p = f64::from(k) / 200.0;
-            let (x, up) = ankle(p);
-            let hip = Vector3::new(0.0, 0.09, HIP_M + lift(p));
-            let foot = Vector3::new(x, 0.085, ANKLE_M + up);
-            let knee = knee(&hip, &foot);
-            assert!(((knee - hip).norm() - BONE_M).abs() < 1e-12, "thigh at {p}");
-            assert!(((foot - knee).norm() - BONE_M).abs() < 1e-12, "shin at {p}");
-            let middle = 0.5 * (hip + foot);
-            assert!(knee.x >= middle.x, "knees bend forward, at {p}");
-        }
-    }
-
-    /// Who talks sways by centimetres, never leaves the ground, and never by more than knees allow;
-    /// who walks does not.
-    #[test]
-    fn who_talks_sways_over_standing_feet() {
+    fn talking_people_sway_over_standing_feet() {
         let talks = figure(1.75, Arms::Gesture);
         let (mut low, mut high) = (
             Vector3::repeat(f64::INFINITY),
@@ -446,26 +386,8 @@ mod tests {
         }
     }
 
-    /// A standing foot stays where it is while the figure moves on, and swings without a jump.
     #[test]
-    fn feet_do_not_slide() {
-        let h = 1e-5;
-        for k in 0..1000 {
-            let p = f64::from(k) / 1000.0;
-            let ((x0, z0), (x1, z1)) = (ankle(p), ankle((p + h) % 1.0));
-            let floor_speed = (x1 - x0) / h + STRIDE_M;
-            if p + h < STANCE {
-                assert!(floor_speed.abs() < 1e-6 && z0 <= 0.0, "slides at {p}");
-            }
-            assert!(
-                (x1 - x0).abs() < 1e-4 && (z1 - z0).abs() < 1e-5,
-                "jumps at {p}"
-            );
-        }
-    }
-
-    #[test]
-    fn figures_are_as_tall_as_they_should_be() {
+    fn figures_have_their_height() {
         for height in [1.55, 1.75, 1.9] {
             let top =
                 figure(height, Arms::Swing)

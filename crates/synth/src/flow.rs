@@ -1,18 +1,18 @@
-//! [`flow`]: where each pixel of one frame is in another.
+//! [`flow`]: exact optical flow between two frames.
 
 use garad_core::{Image, Par, Se3};
 
 use crate::view::View;
 
-/// A point is visible if the ray to it meets nothing more than this before it, metres.
+/// A point is visible if the ray to it hits nothing nearer by more than this, metres.
 const VISIBLE_WITHIN_M: f64 = 1e-5;
 
-/// Displacement of the surface point in the middle of each pixel of `from`, in pixels of `to`.
+/// Displacement of the surface point at the centre of each pixel of `from`, in pixels of `to`.
 ///
 /// p_j = world_from_solid_j · solid_from_world_i · p_i, flow = π(camera_j p_j) - (u, v)
 ///
-/// Each rigid part of a mover carries its own motion. (NaN, NaN) where the point is outside the
-/// other picture, behind its camera, or hidden there.
+/// Each rigid part of an object has its own motion. (NaN, NaN) where the point is outside the other
+/// image, behind its camera, or hidden there.
 pub(crate) fn flow(
     from: &View,
     to: &View,

@@ -9,38 +9,17 @@ use crate::material::Material;
 use crate::pattern::Rgb;
 use crate::solid::Builder;
 
-const OAK: Rgb = [0.68, 0.50, 0.31];
-const WALNUT: Rgb = [0.40, 0.26, 0.17];
-const WHITE: Rgb = [0.84, 0.83, 0.80];
-const STEEL: Rgb = [0.42, 0.43, 0.46];
-
-fn wood(b: &mut Builder, tone: Rgb) -> Material {
-    Material::Wood {
-        tone,
-        seed: b.seed(),
-    }
-}
-
-fn paint(b: &mut Builder, tone: Rgb) -> Material {
-    Material::Painted {
-        tone,
-        seed: b.seed(),
-    }
-}
-
-fn fabric(b: &mut Builder, cloth: Cloth) -> Material {
-    Material::Fabric {
-        cloth,
-        seed: b.seed(),
-    }
-}
+pub(crate) const OAK: Rgb = [0.68, 0.50, 0.31];
+pub(crate) const WALNUT: Rgb = [0.40, 0.26, 0.17];
+pub(crate) const WHITE: Rgb = [0.84, 0.83, 0.80];
+pub(crate) const STEEL: Rgb = [0.42, 0.43, 0.46];
 
 /// A table top on four legs.
 pub(crate) fn table(b: &mut Builder, half: [f64; 2], height: f64) {
-    let top = wood(b, OAK);
+    let top = b.wood(OAK);
     b.block([0.0, 0.0, height - 0.02], [half[0], half[1], 0.02], top);
     for (sx, sy) in [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)] {
-        let leg = wood(b, OAK);
+        let leg = b.wood(OAK);
         let (x, y) = (sx * (half[0] - 0.05), sy * (half[1] - 0.05));
         let h = 0.5 * (height - 0.04);
         b.block([x, y, h], [0.028, 0.028, h], leg);
@@ -49,7 +28,7 @@ pub(crate) fn table(b: &mut Builder, half: [f64; 2], height: f64) {
 
 /// A seat, four legs, a back of slats.
 pub(crate) fn chair(b: &mut Builder) {
-    let seat = fabric(b, Cloth::Checked([0.45, 0.16, 0.15], [0.75, 0.62, 0.40]));
+    let seat = b.fabric(Cloth::Checked([0.45, 0.16, 0.15], [0.75, 0.62, 0.40]));
     b.block([0.0, 0.0, 0.455], [0.21, 0.21, 0.025], seat);
     for (x, y, top) in [
         (-0.18, -0.18, 0.43),
@@ -57,11 +36,11 @@ pub(crate) fn chair(b: &mut Builder) {
         (-0.18, 0.18, 0.92),
         (0.18, 0.18, 0.92),
     ] {
-        let leg = wood(b, WALNUT);
+        let leg = b.wood(WALNUT);
         b.rod([x, y, 0.015], [x, y, top], 0.018, 0.016, leg);
     }
     for z in [0.62, 0.74, 0.86] {
-        let slat = wood(b, WALNUT);
+        let slat = b.wood(WALNUT);
         b.block([0.0, 0.18, z], [0.175, 0.010, 0.032], slat);
     }
 }
@@ -85,7 +64,7 @@ pub(crate) fn books(b: &mut Builder, [x0, x1]: [f64; 2], y: f64, z: f64, tallest
     }
 }
 
-/// Lying books, the largest below.
+/// A stack of books, the largest at the bottom.
 pub(crate) fn book_stack(b: &mut Builder, x: f64, y: f64, z: f64, count: u32) {
     let mut rng = Rng::keyed(u64::from(b.seed()), &[2]);
     let mut top = z;
@@ -111,14 +90,14 @@ pub(crate) fn book_stack(b: &mut Builder, x: f64, y: f64, z: f64, count: u32) {
 pub(crate) fn bookcase(b: &mut Builder, half_width: f64, height: f64, tone: Rgb) {
     let depth = 0.14;
     for side in [-1.0, 1.0] {
-        let board = wood(b, tone);
+        let board = b.wood(tone);
         b.block(
             [side * half_width, 0.0, 0.5 * height],
             [0.012, depth, 0.5 * height],
             board,
         );
     }
-    let back = wood(b, tone);
+    let back = b.wood(tone);
     b.block(
         [0.0, depth - 0.006, 0.5 * height],
         [half_width - 0.012, 0.006, 0.5 * height],
@@ -130,7 +109,7 @@ pub(crate) fn bookcase(b: &mut Builder, half_width: f64, height: f64, tone: Rgb)
     let pitch = (height - 0.06) / levels as f64;
     for level in 0..=levels {
         let z = 0.05 + pitch * level as f64;
-        let board = wood(b, tone);
+        let board = b.wood(tone);
         b.block(
             [0.0, -0.006, z],
             [half_width - 0.012, depth - 0.006, 0.011],
@@ -209,7 +188,7 @@ pub(crate) fn sofa(b: &mut Builder, half_width: f64) {
         ([-half_width + 0.09, 0.0, 0.44], [0.09, 0.42, 0.14]),
         ([half_width - 0.09, 0.0, 0.44], [0.09, 0.42, 0.14]),
     ] {
-        let cover = fabric(b, tone);
+        let cover = b.fabric(tone);
         b.block(centre, half, cover);
     }
     let cloths = [
@@ -218,11 +197,11 @@ pub(crate) fn sofa(b: &mut Builder, half_width: f64) {
         Cloth::Checked([0.62, 0.45, 0.14], [0.25, 0.30, 0.24]),
     ];
     for (k, cloth) in cloths.into_iter().enumerate() {
-        let cushion = fabric(b, cloth);
+        let cushion = b.fabric(cloth);
         let x = half_width * (-0.55 + 0.55 * k as f64);
         b.ellipsoid([x, 0.17, 0.53], [0.21, 0.10, 0.17], cushion);
     }
-    let throw = fabric(b, Cloth::Checked([0.20, 0.42, 0.38], [0.85, 0.80, 0.66]));
+    let throw = b.fabric(Cloth::Checked([0.20, 0.42, 0.38], [0.85, 0.80, 0.66]));
     b.block(
         [0.45 * half_width, -0.08, 0.383],
         [0.26, 0.345, 0.004],
@@ -232,15 +211,15 @@ pub(crate) fn sofa(b: &mut Builder, half_width: f64) {
 
 /// A low cabinet with doors, knobs and things on it. Front at -y.
 pub(crate) fn sideboard(b: &mut Builder, half_width: f64) {
-    let body = wood(b, WALNUT);
+    let body = b.wood(WALNUT);
     b.block([0.0, 0.0, 0.40], [half_width, 0.21, 0.34], body);
     let doors = 3;
     for k in 0..doors {
         let w = half_width / f64::from(doors);
         let x = -half_width + w * (2.0 * f64::from(k) + 1.0);
-        let door = wood(b, [0.50, 0.34, 0.22]);
+        let door = b.wood([0.50, 0.34, 0.22]);
         b.block([x, -0.215, 0.40], [w - 0.012, 0.008, 0.31], door);
-        let knob = paint(b, STEEL);
+        let knob = b.paint(STEEL);
         b.ellipsoid([x + 0.7 * w, -0.235, 0.45], [0.014; 3], knob);
     }
     vase(b, -0.6 * half_width, 0.0, 0.74);
@@ -258,171 +237,9 @@ pub(crate) fn sideboard(b: &mut Builder, half_width: f64) {
     );
 }
 
-/// Drawers below a slab, on short feet, to stand under a desk.
-fn drawers(b: &mut Builder, x: f64) {
-    let body = paint(b, WHITE);
-    b.block([x, 0.0, 0.33], [0.20, 0.30, 0.31], body);
-    for k in 0..3 {
-        let z = 0.14 + 0.19 * f64::from(k);
-        let front = wood(b, OAK);
-        b.block([x, -0.306, z], [0.185, 0.008, 0.085], front);
-        let handle = paint(b, STEEL);
-        b.rod(
-            [x - 0.06, -0.33, z + 0.03],
-            [x + 0.06, -0.33, z + 0.03],
-            0.007,
-            0.007,
-            handle,
-        );
-    }
-}
-
-/// A desk of 1.6 m with everything that gathers on one. Front at -y.
-pub(crate) fn desk(b: &mut Builder) {
-    let top_z = 0.74;
-    table(b, [0.80, 0.36], top_z);
-    drawers(b, 0.52);
-    monitor(b, 0.05, 0.16, top_z);
-    let seed = b.seed();
-    b.turned_block(
-        [0.03, -0.14, top_z + 0.010],
-        [0.20, 0.065, 0.010],
-        0.05,
-        Material::Keyboard { seed },
-    );
-    let mouse = paint(b, [0.16, 0.16, 0.18]);
-    b.ellipsoid([0.33, -0.15, top_z + 0.012], [0.03, 0.05, 0.018], mouse);
-    for (x, y, turn) in [
-        (-0.42, -0.16, 0.3),
-        (-0.36, -0.05, -0.2),
-        (-0.58, 0.06, 1.1),
-        (0.55, -0.20, -0.45),
-    ] {
-        let seed = b.seed();
-        let lift = 0.001 + 0.0012 * (x + 1.0);
-        b.turned_block(
-            [x, y, top_z + lift],
-            [0.105, 0.148, 0.0008],
-            turn,
-            Material::Page { seed },
-        );
-    }
-    book_stack(b, -0.62, 0.20, top_z, 6);
-    book_stack(b, 0.62, 0.05, top_z + 0.004, 3);
-    mug(b, 0.42, 0.02, top_z, [0.78, 0.30, 0.22]);
-    mug(b, -0.27, 0.14, top_z, [0.30, 0.45, 0.62]);
-    pens(b, 0.45, 0.24, top_z);
-    globe(b, -0.36, 0.25, top_z);
-    desk_lamp(b, 0.70, 0.24, top_z);
-    for k in 0..6 {
-        let seed = b.seed();
-        let tone = [[0.85, 0.2, 0.2], [0.2, 0.5, 0.8], [0.9, 0.75, 0.2]][k % 3];
-        let (x, z) = (
-            0.20 + 0.043 * (k % 4) as f64,
-            top_z + 0.02 + 0.04 * (k / 4) as f64,
-        );
-        b.turned_block(
-            [x + 0.09, -0.27, z],
-            [0.02; 3],
-            0.3 * k as f64,
-            Material::Painted { tone, seed },
-        );
-    }
-}
-
-fn monitor(b: &mut Builder, x: f64, y: f64, z: f64) {
-    let stand = paint(b, [0.15, 0.15, 0.16]);
-    b.drum([x, y, z + 0.008], 0.12, 0.008, stand);
-    b.block([x, y + 0.03, z + 0.12], [0.03, 0.015, 0.11], stand);
-    let seed = b.seed();
-    b.block(
-        [x, y, z + 0.31],
-        [0.29, 0.018, 0.175],
-        Material::Screen { seed },
-    );
-}
-
-fn mug(b: &mut Builder, x: f64, y: f64, z: f64, tone: Rgb) {
-    let seed = b.seed();
-    let clay = Material::Pottery { tone, seed };
-    b.drum([x, y, z + 0.048], 0.04, 0.048, clay);
-    b.rod(
-        [x + 0.045, y, z + 0.025],
-        [x + 0.055, y, z + 0.07],
-        0.008,
-        0.008,
-        clay,
-    );
-}
-
-fn pens(b: &mut Builder, x: f64, y: f64, z: f64) {
-    let seed = b.seed();
-    b.drum(
-        [x, y, z + 0.05],
-        0.036,
-        0.05,
-        Material::Pottery {
-            tone: [0.25, 0.26, 0.3],
-            seed,
-        },
-    );
-    let tones = [
-        [0.8, 0.2, 0.15],
-        [0.2, 0.3, 0.7],
-        [0.9, 0.8, 0.3],
-        [0.1, 0.1, 0.1],
-    ];
-    for (k, tone) in tones.into_iter().enumerate() {
-        let angle = 1.7 * k as f64;
-        let (dx, dy) = (0.03 * libm::cos(angle), 0.03 * libm::sin(angle));
-        let pen = paint(b, tone);
-        b.rod(
-            [x - dx * 0.4, y - dy * 0.4, z + 0.06],
-            [x + dx, y + dy, z + 0.17],
-            0.0045,
-            0.003,
-            pen,
-        );
-    }
-}
-
-fn globe(b: &mut Builder, x: f64, y: f64, z: f64) {
-    let foot = wood(b, WALNUT);
-    b.drum([x, y, z + 0.012], 0.06, 0.012, foot);
-    b.rod([x, y, z + 0.02], [x, y, z + 0.08], 0.01, 0.008, foot);
-    let seed = b.seed();
-    b.ellipsoid([x, y, z + 0.17], [0.10; 3], Material::Ball { seed });
-}
-
-fn desk_lamp(b: &mut Builder, x: f64, y: f64, z: f64) {
-    let metal = paint(b, [0.70, 0.18, 0.14]);
-    b.drum([x, y, z + 0.012], 0.07, 0.012, metal);
-    b.rod(
-        [x, y, z + 0.02],
-        [x - 0.08, y + 0.02, z + 0.26],
-        0.009,
-        0.009,
-        metal,
-    );
-    b.rod(
-        [x - 0.08, y + 0.02, z + 0.26],
-        [x - 0.22, y - 0.12, z + 0.40],
-        0.009,
-        0.009,
-        metal,
-    );
-    b.rod(
-        [x - 0.22, y - 0.12, z + 0.40],
-        [x - 0.27, y - 0.17, z + 0.34],
-        0.03,
-        0.065,
-        metal,
-    );
-}
-
-/// A lamp as tall as a person.
+/// A floor lamp.
 pub(crate) fn floor_lamp(b: &mut Builder) {
-    let metal = paint(b, STEEL);
+    let metal = b.paint(STEEL);
     b.drum([0.0, 0.0, 0.012], 0.15, 0.012, metal);
     b.rod([0.0, 0.0, 0.03], [0.0, 0.0, 1.5], 0.013, 0.013, metal);
     b.drum(
@@ -435,7 +252,7 @@ pub(crate) fn floor_lamp(b: &mut Builder) {
     );
 }
 
-/// Boxes from the last move.
+/// Cardboard boxes.
 pub(crate) fn moving_boxes(b: &mut Builder) {
     for (centre, half, turn) in [
         ([0.0, 0.0, 0.17], [0.26, 0.19, 0.17], 0.12),
@@ -449,21 +266,21 @@ pub(crate) fn moving_boxes(b: &mut Builder) {
 
 /// A door leaf with panels, frame and handle, in a wall at +y.
 pub(crate) fn door(b: &mut Builder) {
-    let leaf = wood(b, [0.62, 0.44, 0.28]);
+    let leaf = b.wood([0.62, 0.44, 0.28]);
     b.block([0.0, 0.0, 1.0], [0.42, 0.03, 1.0], leaf);
     for (z, h) in [(0.45, 0.32), (1.4, 0.45)] {
         for x in [-0.2, 0.2] {
-            let panel = wood(b, [0.54, 0.37, 0.23]);
+            let panel = b.wood([0.54, 0.37, 0.23]);
             b.block([x, -0.03, z], [0.15, 0.012, h], panel);
         }
     }
     for x in [-0.46, 0.46] {
-        let jamb = paint(b, WHITE);
+        let jamb = b.paint(WHITE);
         b.block([x, 0.0, 1.02], [0.045, 0.045, 1.02], jamb);
     }
-    let lintel = paint(b, WHITE);
+    let lintel = b.paint(WHITE);
     b.block([0.0, 0.0, 2.08], [0.505, 0.045, 0.045], lintel);
-    let handle = paint(b, STEEL);
+    let handle = b.paint(STEEL);
     b.rod(
         [0.35, -0.06, 1.03],
         [0.24, -0.06, 1.03],

@@ -1,13 +1,13 @@
 //! Dynamic RGB-D scenes with exact poses, depth, flow and masks.
 //!
-//! A furnished room, people who walk through it and a hand-held camera, rendered by a ray caster:
-//! what a SLAM system needs to be judged, with nothing to download and every truth known. Ask a
-//! [`Scene`] for any frame; it is a pure function of the [`SceneConfig`] and the frame's number.
+//! A furnished room, people who walk through it and a hand-held camera, rendered by a ray caster, with
+//! all ground truth. Every frame of a [`Scene`] is a pure function of the [`SceneConfig`] and the number
+//! of the frame.
 //!
-//! Reading order: [`config`] (what there is) → `shape` (rays and solids) → `pattern`, `material`,
-//! `decor`, `clothes` (textures) → `solid`, `furniture`, `room` (the place) → `course`, `figure`,
-//! `actor`, `cast` (who moves) → `camera_path` → `light`, `view`, `render`, `flow` (the picture) →
-//! [`noise`] (the sensor) → [`scene`] (all together).
+//! Reading order: [`config`] (the scenes) → `shape` (rays and solids) → `pattern`, `material`, `walls`,
+//! `decor`, `clothes` (textures) → `solid`, `furniture`, `desk`, `room` (the room) → `course`, `gait`,
+//! `figure`, `actor`, `cast` (moving objects) → `camera_path` → `light`, `view`, `render`, `flow`
+//! (images) → [`noise`] (the sensor) → [`scene`] (all together).
 
 mod actor;
 mod camera_path;
@@ -16,9 +16,11 @@ mod clothes;
 pub mod config;
 mod course;
 mod decor;
+mod desk;
 mod figure;
 mod flow;
 mod furniture;
+mod gait;
 mod light;
 mod material;
 pub mod noise;
@@ -29,6 +31,7 @@ pub mod scene;
 mod shape;
 mod solid;
 mod view;
+mod walls;
 
 pub use config::{SceneConfig, SceneName, SynthError};
 pub use scene::{MASK_MEMORY_FRAMES, Scene, SynthFrame};

@@ -1,10 +1,10 @@
-//! [`Lighting`]: how much light reaches each place, worked out once for all that does not move.
+//! [`Lighting`]: irradiance of static surfaces, computed once.
 //!
-//! Light comes from a lamp, a window (four points) and, evenly, from everywhere else. Flat static
-//! faces carry a grid of irradiance with soft shadows and the darkening of corners; round static
-//! things one number for the darkening; movers are lit as if alone. So a static surface has the
-//! same light in every frame, with and without movers, and movers cast no shadow: what differs
-//! between a scene and its twin is exactly where a mover is seen.
+//! Light comes from a lamp, a window (four points) and a uniform ambient term. Flat static faces have a
+//! grid of irradiance with shadows and ambient occlusion; round static solids have one value of ambient
+//! occlusion; moving objects are lit without occlusion. So a static surface has the same light in every
+//! frame, with and without moving objects, and these cast no shadow: a scene and its twin differ exactly
+//! where a moving object is visible.
 
 use garad_core::{Par, Se3};
 use nalgebra::{Matrix3, Vector3};
@@ -16,7 +16,7 @@ use crate::shape::{FACE_AXES, Shape, Surface, face_normal, length};
 use crate::solid::{Solid, rotation_along};
 
 const AMBIENT: Rgb = [0.44, 0.45, 0.48];
-/// Beyond this an obstacle no longer darkens a corner, metres.
+/// Largest distance of an obstacle that occludes ambient light, metres.
 const CORNER_M: f64 = 0.9;
 /// Distance between the nodes of a grid, metres.
 const NODE_M: f64 = 0.11;
@@ -24,7 +24,7 @@ const DIRECTIONS: usize = 20;
 
 struct Lamp {
     at: [f64; 3],
-    /// Where it shines hardest; `None` for all around.
+    /// Direction of the strongest light; `None` for uniform light.
     faces: Option<[f64; 3]>,
     power: f64,
     colour: Rgb,
@@ -54,7 +54,7 @@ const fn window_point(x: f64, z: f64) -> Lamp {
 }
 
 impl Lamp {
-    /// Irradiance on a surface with normal `n`, were there nothing in between.
+    /// Irradiance on a surface with normal `n`, without shadows.
     fn unshadowed(&self, p: &Vector3<f64>, n: &Vector3<f64>) -> f64 {
         let to_lamp = Vector3::from(self.at) - p;
         let r2 = to_lamp.norm_squared();
@@ -62,28 +62,28 @@ impl Lamp {
         let out = self
             .faces
             .map_or(1.0, |f| (-Vector3::from(f).dot(&to_lamp) / r).max(0.0));
-        // wrapped a little around the edge, as from a source of some size
+        // extended slightly beyond the horizon, as for a source of finite size
         let incidence = ((n.dot(&to_lamp) / r + 0.15) / 1.15).max(0.0);
         self.power * out * incidence / (0.35 + 0.30 * r2)
     }
 }
 
-/// When the light is out in [`SceneName::LightsOut`], seconds.
+/// Intervals in which the light is off in [`SceneName::LightsOut`], seconds.
 const DARK_S: [[f64; 2]; 2] = [[1.2, 1.4], [3.0, 3.5]];
-/// What is left of it then: white is 11 of 255.
-const LEFT_IN_THE_DARK: f32 = 0.002;
+/// Brightness in these intervals: white is 11 of 255.
+const DARK_BRIGHTNESS: f32 = 0.002;
 
-/// Share of the light that is on.
+/// Brightness of the light.
 pub(crate) fn brightness(name: SceneName, t_s: f64) -> f32 {
     let dark = DARK_S.iter().any(|&[from, to]| (from..to).contains(&t_s));
     if name == SceneName::LightsOut && dark {
-        LEFT_IN_THE_DARK
+        DARK_BRIGHTNESS
     } else {
         1.0
     }
 }
 
-/// Light on every static solid.
+/// Irradiance of every static solid.
 #[derive(Debug, Clone)]
 pub(crate) struct Lighting {
     solids: Vec<Baked>,
@@ -93,7 +93,7 @@ pub(crate) struct Lighting {
 enum Baked {
     /// One grid per face.
     Faces(Vec<Grid>),
-    /// Share of the sky that is free.
+    /// Share of ambient light that is not occluded.
     Round(f32),
 }
 
@@ -106,7 +106,7 @@ struct Grid {
 }
 
 impl Lighting {
-    /// Works the light out; the answer is the same for every `par`.
+    /// Computes the light; the result is the same for every `par`.
     pub(crate) fn bake(solids: &[Solid], par: Par) -> Self {
         let obstacles: Vec<Obstacle> = solids.iter().skip(1).filter_map(Obstacle::new).collect();
         let bake = |i: usize| -> Baked {
@@ -132,8 +132,8 @@ impl Lighting {
         }
     }
 
-    /// Irradiance at a point of solid `index`; solids beyond the baked ones are movers. `placed`
-    /// gives point and normal in the world, which flat faces do without.
+    /// Irradiance at a point of solid `index`; later solids than the baked ones are moving objects. `placed`
+    /// gives point and normal in the world, which flat faces do not need.
     pub(crate) fn at(
         &self,
         index: usize,
@@ -148,7 +148,7 @@ impl Lighting {
             }
             None => {
                 let (p, n) = placed();
-                // nearer to the floor less sky is free
+                // more occlusion near the floor
                 #[allow(clippy::cast_possible_truncation, reason = "light is f32")]
                 let open = (0.55 + 0.35 * p.z).min(0.92) as f32;
                 lit(&p, &n, open, |_| true)
@@ -158,7 +158,7 @@ impl Lighting {
 }
 
 fn lit(p: &Vector3<f64>, n: &Vector3<f64>, open: f32, sees: impl Fn(&Lamp) -> bool) -> Rgb {
-    // the ceiling sends back more than the floor
+    // the ceiling reflects more than the floor
     #[allow(clippy::cast_possible_truncation, reason = "light is f32")]
     let above = (0.88 + 0.12 * n.z) as f32;
     let mut e = AMBIENT.map(|a| a * open * above);
@@ -198,7 +198,7 @@ fn faces(solid: &Solid, half: &Vector3<f64>, outward: f64, obstacles: &[Obstacle
         for j in 0..nodes[1] {
             for i in 0..nodes[0] {
                 let along = |k: usize, n: usize, half: f64| {
-                    // a little inside the edge, so that a node at a corner starts in the open
+                    // slightly inside the edge, so that a node at a corner is not inside a neighbour
                     (2.0 * k as f64 / (n - 1) as f64 - 1.0) * (half - 0.01f64.min(0.3 * half))
                 };
                 let mut p = normal.component_mul(half) + normal * (outward * 1e-3);
@@ -227,7 +227,7 @@ fn faces(solid: &Solid, half: &Vector3<f64>, outward: f64, obstacles: &[Obstacle
 fn node(p: &Vector3<f64>, n: &Vector3<f64>, near: &[&Obstacle], all: &[Obstacle]) -> Rgb {
     let near: Vec<&Obstacle> = near.iter().filter(|o| o.is_near(p)).copied().collect();
     if near.iter().any(|o| o.contains(p)) {
-        // below a cupboard: seen by nobody, but its neighbours blend with it
+        // inside another solid: invisible, but interpolated with its neighbours
         return AMBIENT.map(|a| 0.25 * a);
     }
     #[allow(clippy::cast_possible_truncation, reason = "light is f32")]
@@ -259,7 +259,7 @@ fn open_sky(p: &Vector3<f64>, n: &Vector3<f64>, near: &[&Obstacle]) -> f64 {
         }
         sum += free / CORNER_M;
     }
-    // half of the darkness is undone by light that bounces in the corner
+    // interreflection in a corner reduces the occlusion
     0.35 + 0.65 * sum / DIRECTIONS as f64
 }
 
@@ -269,7 +269,7 @@ fn wall_distance(p: &Vector3<f64>, d: &Vector3<f64>) -> f64 {
     Shape::Room { half }.intersect(&o, d).unwrap_or(0.0)
 }
 
-/// A static solid as something in the way of light.
+/// A static solid that occludes light.
 struct Obstacle {
     shape: Shape,
     rotation: Matrix3<f64>,
@@ -279,8 +279,7 @@ struct Obstacle {
 }
 
 impl Obstacle {
-    /// `None` for what shines, and for sheets and carpets: too flat to darken anything, and what
-    /// lies below them shows at no edge.
+    /// `None` for light sources, and for sheets and carpets, which are too flat to occlude anything.
     fn new(solid: &Solid) -> Option<Self> {
         let shines = matches!(
             solid.material,
@@ -303,7 +302,7 @@ impl Obstacle {
         self.rotation * p + self.solid_from_world.translation
     }
 
-    /// Near enough to darken a corner at p.
+    /// Whether it can occlude ambient light at p.
     fn is_near(&self, p: &Vector3<f64>) -> bool {
         let reach = CORNER_M + self.radius;
         (self.centre - p).norm_squared() < reach * reach
@@ -314,8 +313,8 @@ impl Obstacle {
             && self.shape.contains(&self.to_solid(p))
     }
 
-    /// Distance along a unit direction; may be `None` if it is `limit` or more. The ball around the
-    /// solid is asked first.
+    /// Distance along a unit direction; may be `None` if it is `limit` or more. The bounding sphere is
+    /// tested first.
     fn distance(&self, p: &Vector3<f64>, d: &Vector3<f64>, limit: f64) -> Option<f64> {
         let to_centre = self.centre - p;
         let along = to_centre.dot(d);
@@ -330,7 +329,7 @@ impl Obstacle {
 }
 
 impl Grid {
-    /// Bilinear.
+    /// Bilinear interpolation.
     #[allow(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
@@ -367,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn below_the_desk_and_in_corners_it_is_darker() {
+    fn corners_and_the_floor_below_the_desk_are_darker() {
         let solids = furnished(furnishing(SceneName::Walking), 1);
         let lighting = Lighting::bake(&solids, Par::Seq);
         let open = floor_light(&lighting, 1.6, -0.6);
@@ -378,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn more_threads_bring_no_other_light() {
+    fn light_does_not_depend_on_threads() {
         let mut solids = furnished(furnishing(SceneName::Crowd), 2);
         solids.truncate(40);
         let bits = |par: Par| format!("{:?}", Lighting::bake(&solids, par));

@@ -1,17 +1,18 @@
 //! [`Material`]: the colour of each point of a surface.
 //!
-//! The furniture is here; walls, pictures and print in [`crate::decor`], people in
-//! [`crate::clothes`]. Colours are albedos as stored values (gamma 2): the renderer squares them.
+//! Textures of furniture are here; walls in [`crate::walls`], pictures on the wall and print in
+//! [`crate::decor`], people in [`crate::clothes`]. Colours are albedos as stored values (gamma 2): the
+//! renderer squares them.
 
 use crate::clothes::Cloth;
 use crate::decor::{self, Picture};
 use crate::pattern::{
-    Rgb, band, bands, cell, disc, fade, fbm, hash, lerp, mix, noise, part, print, scale, spots,
-    step,
+    Rgb, band, bands, cell, disc, fade, fbm, grain, hash, lerp, mix, noise, part, print, scale,
+    spots, step,
 };
 use crate::shape::Surface;
 
-/// What a surface is made of. `seed` makes two things of one kind different.
+/// Material of a surface. `seed` distinguishes two things of one kind.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Material {
     /// Walls, floor and ceiling, by face; `plain` without bricks and wallpaper.
@@ -20,13 +21,13 @@ pub(crate) enum Material {
     Wood { tone: Rgb, seed: u32 },
     /// Paint with fine scratches.
     Painted { tone: Rgb, seed: u32 },
-    /// Woven or knitted; also what people wear.
+    /// Woven or knitted; also clothes.
     Fabric { cloth: Cloth, seed: u32 },
     /// A closed book standing or lying: title, bands, pages.
     Book { seed: u32 },
     /// A printed sheet of paper.
     Page { seed: u32 },
-    /// A picture with a white mat.
+    /// A framed picture with a white mat.
     Framed { picture: Picture, seed: u32 },
     /// A monitor: windows full of text.
     Screen { seed: u32 },
@@ -40,13 +41,13 @@ pub(crate) enum Material {
     Leaves { seed: u32 },
     /// Glazed pottery with a painted band.
     Pottery { tone: Rgb, seed: u32 },
-    /// A pane with the garden behind it.
+    /// A window pane with a garden behind it.
     Window { seed: u32 },
     /// Hanging cloth in folds.
     Curtain { tone: Rgb, seed: u32 },
-    /// A cork board full of notes.
+    /// A cork board with notes.
     Pinboard { seed: u32 },
-    /// A ball of panels.
+    /// A ball made of panels.
     Ball { seed: u32 },
     /// Bare skin.
     Skin { tone: Rgb, seed: u32 },
@@ -54,7 +55,7 @@ pub(crate) enum Material {
     Face { tone: Rgb, seed: u32 },
     /// Hair.
     Hair { tone: Rgb, seed: u32 },
-    /// A lamp shade: it shines.
+    /// A lamp shade: emits light.
     Shade { tone: Rgb },
 }
 
@@ -63,7 +64,7 @@ impl Material {
     pub(crate) fn albedo(&self, s: &Surface, fp: f32) -> Rgb {
         let [u, v] = s.uv;
         let colour = match *self {
-            Self::Walls { plain, seed } => decor::walls(s, plain, fp, seed),
+            Self::Walls { plain, seed } => crate::walls::walls(s, plain, fp, seed),
             Self::Wood { tone, seed } => wood(s, tone, fp, seed),
             Self::Painted { tone, seed } => painted(u, v, tone, fp, seed.wrapping_add(face(s))),
             Self::Fabric { cloth, seed } => cloth.colour(s, fp, seed),
@@ -119,25 +120,7 @@ fn wood(s: &Surface, tone: Rgb, fp: f32, seed: u32) -> Rgb {
     grain(along, across, tone, fp, seed.wrapping_add(face(s)))
 }
 
-/// Fibres along the first coordinate, with knots and rays of the heartwood.
-pub(crate) fn grain(along: f32, across: f32, tone: Rgb, fp: f32, seed: u32) -> Rgb {
-    let bend = 0.03 * noise(along, across, 0.5, fp, seed);
-    let rings = fbm(along * 0.08, across + bend, 0.03, 3, fp, seed ^ 1);
-    let fibre = noise(along * 0.05, across, 0.006, fp, seed ^ 2);
-    let cloud = noise(along, across, 0.3, fp, seed ^ 3);
-    let (knot, h) = spots(along * 0.5 + bend, across, 0.075, 0.16, fp, seed ^ 4);
-    let knot = knot * (0.25 + 0.3 * part(h, 1));
-    let shade = (1.0 + 0.20 * rings + 0.14 * fibre + 0.08 * cloud) * (1.0 - knot);
-    // dark wood is redder
-    let dark = (1.0 - shade).clamp(0.0, 0.6);
-    [
-        tone[0] * shade,
-        tone[1] * shade * (1.0 - 0.12 * dark),
-        tone[2] * shade * (1.0 - 0.35 * dark),
-    ]
-}
-
-/// Spines differ in colour, bands and the blocks of the title; the other faces are cover or pages.
+/// Spines differ in colour, bands and title.
 fn book(s: &Surface, fp: f32, seed: u32) -> Rgb {
     const CLOTH: [Rgb; 10] = [
         [0.60, 0.16, 0.14],
@@ -158,7 +141,7 @@ fn book(s: &Surface, fp: f32, seed: u32) -> Rgb {
     } else {
         [0.92, 0.86, 0.62]
     };
-    // the longest side of the face is the height of the letters' line
+    // text runs along the longer side of the face
     let (long, short) = if s.half[0] >= s.half[1] {
         (0, 1)
     } else {
@@ -190,7 +173,7 @@ fn book(s: &Surface, fp: f32, seed: u32) -> Rgb {
 
 fn screen(s: &Surface, fp: f32, seed: u32) -> Rgb {
     let [u, v] = s.uv;
-    // the picture is on both large faces: one of them is always at the wall
+    // the screen is on both large faces: one of them is always at the wall
     if s.half[0].min(s.half[1]) < 0.05 || s.face / 2 == 2 {
         return [0.10, 0.10, 0.11];
     }
@@ -271,7 +254,7 @@ fn bars(u: f32, fp: f32, seed: u32) -> f32 {
     lerp(0.5, f32::from(u8::from(part(hash(i, 0, seed), 0) > x)), w)
 }
 
-/// Four layers of leaves, each a lattice sheared another way, over a dark inside.
+/// Four layers of leaves, each a lattice with a different shear, over a dark ground.
 fn leaves(u: f32, v: f32, fp: f32, seed: u32) -> Rgb {
     let mut colour: Rgb = [0.08, 0.20, 0.09];
     for layer in 0..4u32 {

@@ -1,9 +1,9 @@
-//! What a Kinect makes of an exact frame.
+//! The noise of a Kinect, applied to an exact frame.
 //!
 //! Depth: Gaussian noise along the axis, rounding of the disparity, holes at grazing angles, along
-//! depth edges and beyond the range. Colour: sensor noise. Each pixel draws from a stream of its own,
-//! keyed by (seed, frame, pixel): any number of threads gives the same bits, and a scene and its
-//! twin share the noise wherever they show the same surface.
+//! depth edges and beyond the range. Colour: sensor noise. Each pixel has its own random stream,
+//! keyed by (seed, frame, pixel): any number of threads gives the same bits, and a scene and its twin
+//! share the noise where they show the same surface.
 
 use garad_core::{DepthImage, Image, Par, RgbImage, Rng};
 
@@ -13,9 +13,9 @@ pub const COLOUR_SIGMA: f64 = 1.5;
 pub const RANGE_M: [f64; 2] = [0.4, 8.0];
 /// Baseline times focal length of a Kinect at 640 columns: 0.075 m x 525 px, rounded.
 pub const BASELINE_FOCAL_M_PX: f64 = 40.0;
-/// The disparity comes in steps of this, pixels.
+/// Quantisation step of the disparity, pixels.
 pub const DISPARITY_STEP_PX: f64 = 0.125;
-/// Neighbours whose depths differ by more than this share of the nearer one form an edge.
+/// Neighbours form an edge if their depths differ by more than this share of the smaller one.
 const EDGE_RELATIVE: f32 = 0.04;
 
 /// Standard deviation of depth at distance z, metres (Nguyen, Izadi, Lovell 2012, axial noise):
@@ -33,7 +33,7 @@ pub fn depth_step_m(z_m: f64) -> f64 {
     z_m * z_m * DISPARITY_STEP_PX / BASELINE_FOCAL_M_PX
 }
 
-/// The nearest depth that the sensor can express; 0 out of range.
+/// The nearest quantised depth; 0 out of range.
 fn quantised(z_m: f64) -> f64 {
     let steps = (BASELINE_FOCAL_M_PX / (z_m * DISPARITY_STEP_PX)).round();
     let z = BASELINE_FOCAL_M_PX / (steps * DISPARITY_STEP_PX);
@@ -44,12 +44,12 @@ fn quantised(z_m: f64) -> f64 {
     }
 }
 
-/// Chance of a hole by the cosine of incidence: none above 0.25, certain below 0.05.
+/// Probability of a hole for a cosine of incidence: 0 above 0.25, 1 below 0.05.
 fn grazing_dropout(incidence: f32) -> f64 {
     f64::from(((0.25 - incidence) / 0.20).clamp(0.0, 1.0))
 }
 
-/// Depth as measured.
+/// Depth with noise and holes.
 pub(crate) fn measured_depth(
     depth: &DepthImage,
     incidence: &Image<f32>,
@@ -74,7 +74,7 @@ pub(crate) fn measured_depth(
     Image::from_vec(width, height, data.concat()).unwrap_or_default()
 }
 
-/// Chance of a hole near a depth edge: 0.6 beside it, 0.25 one pixel further.
+/// Probability of a hole near a depth edge: 0.6 beside it, 0.25 one pixel further.
 fn edge_dropout(depth: &DepthImage, x: usize, y: usize) -> f64 {
     let z = depth[(x, y)];
     let is_edge = |dx: isize, dy: isize| {
@@ -114,8 +114,8 @@ pub(crate) fn measured_rgb(rgb: &RgbImage, key: (u64, u64), par: Par) -> RgbImag
     Image::from_vec(width, height, data.concat()).unwrap_or_default()
 }
 
-/// Sum of the four 16-bit parts of a number, centred and scaled to variance 1: a bell curve that
-/// ends at ±3.46, without a transcendental function.
+/// Sum of the four 16-bit parts of a number, centred and scaled to variance 1: approximately normal,
+/// limited to ±3.46, without a transcendental function.
 fn bell(bits: u64) -> f64 {
     let sum: u64 = (0..4).map(|k| bits >> (16 * k) & 0xFFFF).sum();
     // four uniform numbers of variance 65536²/12 each, mean 65535/2
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn depths_are_steps_of_disparity_within_the_range() {
+    fn depths_are_quantised_within_the_range() {
         for z in [0.5, 1.234, 4.0, 7.9] {
             let disparity = BASELINE_FOCAL_M_PX / quantised(z);
             let steps = disparity / DISPARITY_STEP_PX;
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn colour_noise_has_the_stated_spread_and_other_noise_in_each_frame() {
+    fn colour_noise_has_the_stated_spread_and_differs_between_frames() {
         let grey = Image::new(200, 200, [128u8; 3]);
         let seen = measured_rgb(&grey, (9, 0), Par::Seq);
         let deviation = |c: u8| f64::from(c) - 128.0;

@@ -1,9 +1,8 @@
-//! The letters of every texture: hashed noise, and edges blurred to the footprint of a pixel.
+//! The elements of every texture: hashed noise, and edges blurred to the footprint of a pixel.
 //!
-//! `fp` is the width in metres that one pixel covers on the surface. Each function returns its
-//! average over about that width: an octave finer than two pixels is replaced by its mean, an edge
-//! becomes a ramp one pixel wide. So nothing shimmers when the camera moves, and a texture is a
-//! function of the place and the distance alone.
+//! `fp` is the width in metres that one pixel covers on the surface. Each function returns its average over
+//! about that width: an octave finer than two pixels is replaced by its mean, an edge becomes a ramp one
+//! pixel wide. So textures do not alias when the camera moves, and depend only on place and distance.
 #![allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -11,7 +10,7 @@
     reason = "lattice cells of a room fit i32, hashing wraps on purpose, and lengths are of order 1"
 )]
 
-/// A colour as stored in a picture, [0, 1], red first.
+/// A colour as stored in an image, [0, 1], red first.
 pub(crate) type Rgb = [f32; 3];
 
 /// 32 bits from a cell of the plane.
@@ -112,14 +111,14 @@ pub(crate) fn step(x: f32, fp: f32) -> f32 {
     (x / fp + 0.5).clamp(0.0, 1.0)
 }
 
-/// How much of the footprint around x lies in [a, b].
+/// Share of the footprint around x that lies in [a, b].
 #[inline]
 pub(crate) fn band(x: f32, a: f32, b: f32, fp: f32) -> f32 {
     let h = 0.5 * fp;
     ((x + h).min(b) - (x - h).max(a)).max(0.0) / fp
 }
 
-/// Bands [a, b] of every period, a and b in parts of the period.
+/// Bands [a, b] of every period, a and b as shares of the period.
 #[inline]
 pub(crate) fn bands(x: f32, period: f32, a: f32, b: f32, fp: f32) -> f32 {
     let w = fade(period, fp);
@@ -176,12 +175,30 @@ pub(crate) fn print(u: f32, v: f32, pitch: f32, fp: f32, seed: u32) -> f32 {
     lerp(MEAN, ((letter >> (8 + dot)) & 1) as f32, w)
 }
 
+/// Wood: fibres along the first coordinate, with rings and knots.
+pub(crate) fn grain(along: f32, across: f32, tone: Rgb, fp: f32, seed: u32) -> Rgb {
+    let bend = 0.03 * noise(along, across, 0.5, fp, seed);
+    let rings = fbm(along * 0.08, across + bend, 0.03, 3, fp, seed ^ 1);
+    let fibre = noise(along * 0.05, across, 0.006, fp, seed ^ 2);
+    let cloud = noise(along, across, 0.3, fp, seed ^ 3);
+    let (knot, h) = spots(along * 0.5 + bend, across, 0.075, 0.16, fp, seed ^ 4);
+    let knot = knot * (0.25 + 0.3 * part(h, 1));
+    let shade = (1.0 + 0.20 * rings + 0.14 * fibre + 0.08 * cloud) * (1.0 - knot);
+    // dark wood is redder
+    let dark = (1.0 - shade).clamp(0.0, 0.6);
+    [
+        tone[0] * shade,
+        tone[1] * shade * (1.0 - 0.12 * dark),
+        tone[2] * shade * (1.0 - 0.35 * dark),
+    ]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn floor_goes_down_on_both_sides_of_zero() {
+    fn floor_rounds_down_on_both_sides_of_zero() {
         for (x, expected) in [(1.5, 1), (-0.5, -1), (-2.0, -2), (0.0, 0), (3.0, 3)] {
             assert_eq!(floor(x), expected, "{x}");
         }
@@ -203,7 +220,7 @@ mod tests {
 
     /// Noise is within [-1, 1], continuous across cells, has mean 0, and fades to nothing.
     #[test]
-    fn noise_is_noise() {
+    fn noise_is_bounded_continuous_and_fades() {
         let mut sum = 0.0;
         for k in 0..4000 {
             let (u, v) = (k as f32 * 0.173, k as f32 * 0.091 - 100.0);

@@ -11,19 +11,19 @@ use crate::view::{Hit, View};
 /// Rows of pixels per piece of work.
 const ROWS: usize = 8;
 
-/// What the renderer gives.
+/// The rendered images.
 #[derive(Debug, Clone)]
 pub(crate) struct Rendered {
     pub(crate) rgb: RgbImage,
-    /// Depth of the surface in the middle of the pixel, metres.
+    /// Depth of the surface at the centre of the pixel, metres.
     pub(crate) depth: DepthImage,
-    /// Object in the middle of the pixel.
+    /// Object at the centre of the pixel.
     pub(crate) object: Image<u8>,
-    /// Cosine between ray and normal there.
+    /// Cosine of the angle between ray and normal at the centre of the pixel.
     pub(crate) incidence: Image<f32>,
 }
 
-/// One pixel's share of [`Rendered`].
+/// One pixel of [`Rendered`].
 #[derive(Debug, Clone, Copy)]
 struct Pixel {
     rgb: [u8; 3],
@@ -34,9 +34,9 @@ struct Pixel {
 
 /// Renders a view.
 ///
-/// A pixel's colour is its centre's (`supersample` 1) or ½ centre + ⅛ of each of its corners (2),
-/// in linear light. Corners are computed once for the four pixels that share them. All light is
-/// scaled by `brightness`.
+/// The colour of a pixel is that of its centre (`supersample` 1) or ½ centre + ⅛ of each corner (2), in
+/// linear light. Corners are computed once for the four pixels that share them. All light is scaled by
+/// `brightness`.
 pub(crate) fn render(
     view: &View,
     lighting: &Lighting,
@@ -93,7 +93,7 @@ pub(crate) fn render(
     }
 }
 
-/// (light that leaves the surface towards the camera, cosine of incidence).
+/// (light from the surface to the camera, cosine of incidence).
 #[allow(clippy::cast_possible_truncation, reason = "colours are f32")]
 fn shade(
     view: &View,
@@ -110,7 +110,7 @@ fn shade(
     let d = view.direction_in_solid(hit.index, u, v);
     let (surface, n) = solid.shape.surface(&p);
     let incidence = (-n.dot(&d) / length(&d)).max(0.0);
-    // width of the pixel on the surface: longer along the slope, but blurred no more than 5 times
+    // width of the pixel on the surface: longer along the slope, at most 5 times
     let footprint = spread * hit.z / view.camera.fx / incidence.max(0.2);
     let albedo = solid.material.albedo(&surface, footprint as f32);
     if let Material::Shade { .. } = solid.material {

@@ -16,12 +16,12 @@ use crate::solid::{Builder, Solid};
 /// Half the extent of the room along x, y, z, metres.
 pub(crate) const HALF: [f64; 3] = [2.5, 2.0, 1.35];
 
-/// How the room is furnished.
+/// Variants of the room.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Furnishing {
     /// Walls of one colour.
     pub(crate) plain_walls: bool,
-    /// A table in the middle; without it people have the floor.
+    /// A table in the middle, where people walk in other scenes.
     pub(crate) middle_table: bool,
 }
 
@@ -43,7 +43,7 @@ pub(crate) fn furnished(furnishing: Furnishing, seed: u32) -> Vec<Solid> {
     b.solids
 }
 
-/// A picture on a wall: its middle, half its size, the way the wall faces.
+/// A picture on a wall: centre, half size, direction of the wall.
 fn picture(b: &mut Builder, middle: [f64; 3], half: [f64; 2], turn: f64, picture: Picture) {
     let seed = b.seed();
     let shape = [half[0], 0.012, half[1]];
@@ -54,16 +54,10 @@ fn picture(b: &mut Builder, middle: [f64; 3], half: [f64; 2], turn: f64, picture
 fn ceiling(b: &mut Builder) {
     b.at(0.0, 0.0, 0.0, 0.0);
     for x in [-1.6, -0.2, 1.2] {
-        let beam = Material::Wood {
-            tone: [0.38, 0.26, 0.17],
-            seed: b.seed(),
-        };
+        let beam = b.wood([0.38, 0.26, 0.17]);
         b.block([x, 0.0, 2.64], [0.07, HALF[1], 0.06], beam);
     }
-    let cord = Material::Painted {
-        tone: [0.2; 3],
-        seed: b.seed(),
-    };
+    let cord = b.paint([0.2; 3]);
     b.rod([0.4, -0.1, 2.45], [0.4, -0.1, 2.69], 0.006, 0.006, cord);
     b.ellipsoid(
         [0.4, -0.1, 2.38],
@@ -77,14 +71,11 @@ fn ceiling(b: &mut Builder) {
 /// +y: desk and chair, shelf, pinboard, wardrobe, pictures.
 fn desk_wall(b: &mut Builder) {
     b.at(0.35, 1.60, 0.0, 0.0);
-    piece::desk(b);
+    crate::desk::desk(b);
     b.at(0.15, 1.05, 0.0, PI + 0.35);
     piece::chair(b);
     b.at(0.35, 1.88, 0.0, 0.0);
-    let board = Material::Wood {
-        tone: [0.68, 0.50, 0.31],
-        seed: b.seed(),
-    };
+    let board = b.wood([0.68, 0.50, 0.31]);
     b.block([-0.05, 0.0, 1.62], [0.70, 0.11, 0.012], board);
     piece::books(b, [-0.72, 0.12], 0.10, 1.632, 0.28);
     piece::book_stack(b, 0.30, 0.0, 1.632, 4);
@@ -101,15 +92,9 @@ fn desk_wall(b: &mut Builder) {
     // the wardrobe in the corner to -x
     b.at(-1.75, 1.68, 0.0, 0.0);
     for x in [-0.30, 0.30] {
-        let door = Material::Wood {
-            tone: [0.58, 0.42, 0.27],
-            seed: b.seed(),
-        };
+        let door = b.wood([0.58, 0.42, 0.27]);
         b.block([x, 0.0, 1.0], [0.296, 0.29, 1.0], door);
-        let knob = Material::Painted {
-            tone: [0.8, 0.7, 0.4],
-            seed: b.seed(),
-        };
+        let knob = b.paint([0.8, 0.7, 0.4]);
         b.ellipsoid([x * 0.15, -0.305, 1.0], [0.018; 3], knob);
     }
     let seed = b.seed();
@@ -146,10 +131,7 @@ fn bookcase_wall(b: &mut Builder) {
     b.at(2.1, 1.65, 0.0, 0.0);
     piece::plant(b, 0.0, 0.0, 0.0, 1.0);
     b.at(2.25, -0.45, 0.0, 0.0);
-    let basket = Material::Fabric {
-        cloth: Cloth::Checked([0.55, 0.42, 0.26], [0.36, 0.25, 0.15]),
-        seed: b.seed(),
-    };
+    let basket = b.fabric(Cloth::Checked([0.55, 0.42, 0.26], [0.36, 0.25, 0.15]));
     b.drum([0.0, 0.0, 0.17], 0.15, 0.17, basket);
 }
 
@@ -198,10 +180,7 @@ fn window_wall(b: &mut Builder) {
         };
         b.block([x, -0.05, -0.10], [0.24, 0.03, 0.95], curtain);
     }
-    let rail = Material::Wood {
-        tone: [0.4, 0.28, 0.18],
-        seed: b.seed(),
-    };
+    let rail = b.wood([0.4, 0.28, 0.18]);
     b.rod(
         [-1.35, -0.06, 0.90],
         [1.35, -0.06, 0.90],
@@ -211,10 +190,7 @@ fn window_wall(b: &mut Builder) {
     );
     b.at(-0.6, -1.93, 0.0, PI);
     for k in 0..9 {
-        let fin = Material::Painted {
-            tone: [0.86, 0.86, 0.84],
-            seed: b.seed(),
-        };
+        let fin = b.paint([0.86, 0.86, 0.84]);
         b.block(
             [-0.5 + 0.125 * f64::from(k), 0.0, 0.42],
             [0.052, 0.035, 0.28],
@@ -256,7 +232,7 @@ fn floor(b: &mut Builder, middle_table: bool) {
         };
         b.drum([0.0, 0.18, 0.50], 0.10, 0.04, bowl);
     }
-    // what lies about along the edges
+    // things along the edges
     b.at(-1.45, 1.12, 0.0, 0.7);
     piece::book_stack(b, 0.0, 0.0, 0.0, 5);
     b.at(1.72, 1.55, 0.0, 0.0);
@@ -269,7 +245,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn everything_is_in_the_room() {
+    fn everything_is_inside_the_room() {
         let furnishing = Furnishing {
             plain_walls: false,
             middle_table: true,

@@ -1,4 +1,4 @@
-//! [`Scene`]: a recording that is computed instead of recorded.
+//! [`Scene`]: a synthetic recording.
 
 use std::sync::{Arc, OnceLock};
 
@@ -16,10 +16,10 @@ use crate::room::furnished;
 use crate::solid::Solid;
 use crate::view::View;
 
-/// A mover that stood still this many frames ago or longer is static again in the mask.
+/// A moving object that has stood still for this many frames is static again in the mask.
 pub const MASK_MEMORY_FRAMES: usize = 10;
 
-/// One frame with everything that is true about it.
+/// One frame with its ground truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SynthFrame {
     /// Seconds since the first frame.
@@ -28,18 +28,18 @@ pub struct SynthFrame {
     pub rgb: RgbImage,
     /// Depth along the optical axis, metres: exact to an f32, or as measured; 0 where missing.
     pub depth: DepthImage,
-    /// 255 on a mover that moves or has moved within the last [`MASK_MEMORY_FRAMES`] frames, else 0.
+    /// 255 on objects that move or have moved within the last [`MASK_MEMORY_FRAMES`] frames, else 0.
     pub mask: MaskImage,
-    /// 0 for the room, 1, 2, ... for the movers, whether they move or not.
+    /// 0 for the room, 1, 2, ... for the movable objects, whether they move or not.
     pub object: Image<u8>,
     /// Exact pose.
     pub world_from_camera: Se3,
 }
 
-/// A scene of which any frame can be asked for, in any order.
+/// A scene; its frames can be computed in any order.
 ///
 /// World axes: x and y along the walls, z up, origin in the middle of the floor. Motion is a
-/// function of time, defined for every frame number: what lies beyond [`Scene::len`] is not an error.
+/// function of time, defined for every frame number: one beyond [`Scene::len`] is not an error.
 ///
 /// # Example
 /// ```
@@ -61,20 +61,20 @@ pub struct Scene {
     path: CameraPath,
     room: Arc<Vec<Solid>>,
     actors: Vec<Actor>,
-    /// Worked out when the first frame is asked for; poses and flow do without.
+    /// Computed with the first frame; poses and flow do not need it.
     lighting: Arc<OnceLock<Lighting>>,
 }
 
 impl Scene {
-    /// Builds the room and its cast.
+    /// Builds the room and its moving objects.
     ///
     /// # Errors
-    /// [`SynthError`] for a picture, a rate or a number of frames that cannot be.
+    /// [`SynthError`] for an invalid size, rate or number of frames.
     pub fn new(config: &SceneConfig) -> Result<Self, SynthError> {
         config.validate()?;
         let (width, height) = (config.width, config.height);
-        // 525 px at 640 columns, and a principal point a few pixels off the middle, as in any real
-        // camera: code that forgets cx and cy shows
+        // 525 px at 640 columns, and a principal point a few pixels off the centre, as in any real camera,
+        // so that code which ignores cx and cy fails
         let scale = width as f64 / 640.0;
         let cx = 0.5 * (width as f64 - 1.0) + 2.75 * scale;
         let cy = 0.5 * (height as f64 - 1.0) - 3.5 * scale;
@@ -96,7 +96,7 @@ impl Scene {
         })
     }
 
-    /// The same recording without movers; it shares the room and its light.
+    /// The same recording without moving objects; it shares the room and its light.
     #[must_use]
     pub fn static_twin(&self) -> Self {
         let mut twin = self.clone();
@@ -105,8 +105,8 @@ impl Scene {
         twin
     }
 
-    /// Another scene with the same settings. Where it is furnished alike, it shares the room and
-    /// its light, which take longer to work out than a frame.
+    /// Another scene with the same settings. If the furniture is the same, it shares the room and its
+    /// light, which take longer to compute than a frame.
     #[must_use]
     pub fn sibling(&self, name: SceneName) -> Self {
         let mut other = self.clone();
@@ -122,7 +122,7 @@ impl Scene {
         other
     }
 
-    /// What was asked for.
+    /// The settings.
     #[must_use]
     pub fn config(&self) -> &SceneConfig {
         &self.config
@@ -144,7 +144,7 @@ impl Scene {
         self.config.frames
     }
 
-    /// Number of movers; their object ids are 1 to this.
+    /// Number of movable objects; their ids are 1 to this.
     #[must_use]
     pub fn movers(&self) -> usize {
         self.actors.len()
@@ -173,7 +173,7 @@ impl Scene {
             .collect()
     }
 
-    /// One frame. The same bits for every `par`, and whatever other frames were asked for.
+    /// One frame. The same bits for every `par` and in any order of frames.
     #[must_use]
     pub fn frame(&self, index: usize, par: Par) -> SynthFrame {
         let lighting = self
@@ -206,9 +206,9 @@ impl Scene {
         }
     }
 
-    /// The frame without what counts as moving in it: what a map of the static scene would show at
-    /// that moment. Things that stand are in it, so it is not the twin's frame, and a thing that
-    /// stops or sets off enters or leaves it when the mask says so. Its mask is empty.
+    /// The frame without the objects that count as moving in it: what a map of the static scene would show
+    /// at that moment. It contains objects at rest, unlike the frame of the twin; an object enters or
+    /// leaves it when its mask changes. Its own mask is empty.
     #[must_use]
     pub fn background(&self, index: usize, par: Par) -> SynthFrame {
         let mut still = self.clone();
@@ -218,15 +218,15 @@ impl Scene {
         still.frame(index, par)
     }
 
-    /// Share of the light that is on in a frame: 1, or next to nothing where the lights are out.
+    /// Brightness of the light in a frame: 1, or nearly 0 while the light is off.
     #[must_use]
     pub fn brightness(&self, index: usize) -> f32 {
         brightness(self.config.name, self.timestamp(index))
     }
 
-    /// Exact optical flow from frame `i` to frame `j`, pixels: where the surface point in the middle
-    /// of each pixel went. Each rigid part of a mover carries its own motion. NaN where the point is
-    /// hidden in frame `j` or outside its picture.
+    /// Exact optical flow from frame `i` to frame `j`, pixels: the displacement of the surface point at the
+    /// centre of each pixel. Each rigid part of an object has its own motion. NaN where the point is
+    /// hidden in frame `j` or outside its image.
     #[must_use]
     pub fn flow(&self, i: usize, j: usize, par: Par) -> Image<[f32; 2]> {
         let camera_from_world = self.world_from_camera(j).inverse();
@@ -250,8 +250,8 @@ impl Scene {
         (rgb, depth, exact.object)
     }
 
-    /// It moves on the way to this frame, or did so within the memory of the mask. On the way to the
-    /// first frame counts what happens after it.
+    /// Whether it moves in the interval before this frame, or did so within the memory of the mask. For
+    /// the first frame the interval after it counts.
     fn counts_as_moving(&self, actor: &Actor, index: usize) -> bool {
         let t = |k: usize| self.timestamp(k);
         (index.saturating_sub(MASK_MEMORY_FRAMES)..=index).any(|k| {
@@ -263,7 +263,7 @@ impl Scene {
 
 #[allow(
     clippy::cast_possible_truncation,
-    reason = "any 32 bits of the seed will do"
+    reason = "any 32 bits of the seed are good"
 )]
 fn texture_seed(seed: u64) -> u32 {
     (seed ^ (seed >> 32)) as u32

@@ -1,4 +1,4 @@
-//! [`Shape`]: solids that a ray meets in closed form, each in its own frame.
+//! [`Shape`]: solids with closed-form ray intersections, each in its own frame.
 
 use nalgebra::Vector3;
 
@@ -18,12 +18,12 @@ pub(crate) enum Shape {
     Limb { r0: f64, r1: f64, length: f64 },
 }
 
-/// Where on a shape a point lies, for its texture.
+/// A point on the surface of a shape, for its texture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Surface {
     /// 0..6: -x, +x, -y, +y, -z, +z; [`CURVED`] for everything round.
     pub(crate) face: usize,
-    /// Metres from the middle of the face, to the right and up (for z faces: x and y).
+    /// Metres from the centre of the face, to the right and up (for z faces: x and y).
     pub(crate) uv: [f32; 2],
     /// Half the extent of the face along u and v, metres.
     pub(crate) half: [f32; 2],
@@ -35,7 +35,7 @@ pub(crate) const CURVED: usize = 6;
 /// The axes along u and v of the faces across x, y and z.
 pub(crate) const FACE_AXES: [(usize, usize); 3] = [(1, 2), (0, 2), (0, 1)];
 
-/// A ray starts this far in front of its origin, so that it leaves the surface it starts on.
+/// Smallest ray parameter, so that a ray leaves the surface it starts on.
 const T_MIN: f64 = 1e-9;
 
 impl Shape {
@@ -133,7 +133,7 @@ impl Shape {
         }
     }
 
-    /// Corners (minimum, maximum) of the box that holds the shape.
+    /// Bounding box (minimum, maximum) of the shape.
     pub(crate) fn bounds(&self) -> [Vector3<f64>; 2] {
         match self {
             Self::Room { half } | Self::Block { half } => [-half, *half],
@@ -160,7 +160,7 @@ impl Shape {
         })
     }
 
-    /// The point lies in the solid, not on its surface. Never for [`Shape::Room`].
+    /// Whether the point is inside the solid, not on its surface. Never for [`Shape::Room`].
     pub(crate) fn contains(&self, p: &Vector3<f64>) -> bool {
         match self {
             Self::Room { .. } => false,
@@ -179,7 +179,7 @@ impl Shape {
     }
 }
 
-/// |v|. With `libm-force` nalgebra's own norm takes its square root in software: same bits, later.
+/// |v|. Same bits as nalgebra's norm, which with `libm-force` computes the square root in software.
 #[inline]
 pub(crate) fn length(v: &Vector3<f64>) -> f64 {
     v.norm_squared().sqrt()
@@ -260,7 +260,7 @@ fn limb(r0: f64, r1: f64, length: f64, o: &Vector3<f64>, d: &Vector3<f64>) -> Op
     }
 }
 
-/// The face of the box that a point of its surface lies on.
+/// The face of the box on which a point of its surface lies.
 fn box_face(half: &Vector3<f64>, p: &Vector3<f64>) -> usize {
     let outside = |a: usize| p[a].abs() - half[a];
     let mut axis = 0;
@@ -280,7 +280,7 @@ pub(crate) fn face_normal(face: usize) -> Vector3<f64> {
 }
 
 /// Angle of (x, y) in quarter turns, in [-2, 2], 0 along +x, to about 4 %: no transcendental, and
-/// monotone, which is all that a texture wants.
+/// monotone, which is enough for a texture.
 fn pseudo_angle(x: f64, y: f64) -> f64 {
     let sum = x.abs() + y.abs();
     if sum > 0.0 {
@@ -370,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn misses_and_things_behind() {
+    fn misses_and_solids_behind() {
         for shape in shapes() {
             assert_eq!(
                 shape.intersect(&v(-2.0, 1.0, 0.0), &v(1.0, 0.0, 0.0)),

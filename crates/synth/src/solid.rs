@@ -1,18 +1,20 @@
-//! [`Solid`]: a shape of some material in its place; [`Builder`] puts many together.
+//! [`Solid`]: a shape with material and pose; [`Builder`] collects them.
 
 use garad_core::{Se3, So3};
 use nalgebra::{Matrix3, Vector3};
 
+use crate::clothes::Cloth;
 use crate::material::Material;
+use crate::pattern::Rgb;
 use crate::shape::Shape;
 
-/// A shape in its place.
+/// A shape with material and pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Solid {
     pub(crate) shape: Shape,
     pub(crate) material: Material,
     pub(crate) world_from_solid: Se3,
-    /// 0 for the room; movers count from 1.
+    /// 0 for the room; moving objects count from 1.
     pub(crate) object: u8,
 }
 
@@ -20,7 +22,7 @@ pub(crate) struct Solid {
 pub(crate) fn rotation_along(z: &Vector3<f64>, x_hint: &Vector3<f64>) -> So3 {
     let z = z.normalize();
     let y = z.cross(x_hint);
-    // a hint along z itself says nothing: any other direction will do
+    // for a hint along z any other direction is good
     let y = if y.norm() > 1e-6 {
         y
     } else {
@@ -30,13 +32,12 @@ pub(crate) fn rotation_along(z: &Vector3<f64>, x_hint: &Vector3<f64>) -> So3 {
     So3::from_matrix(&Matrix3::from_columns(&[y.cross(&z), y, z]))
 }
 
-/// A turn about the vertical.
+/// A rotation about the vertical.
 pub(crate) fn yaw(angle_rad: f64) -> So3 {
     So3::exp(&Vector3::new(0.0, 0.0, angle_rad))
 }
 
-/// Collects solids of a piece of furniture in the frame where it stands: x right, y back,
-/// z up from the floor.
+/// Collects solids of a piece of furniture in its own frame: x right, y back, z up from the floor.
 #[derive(Debug)]
 pub(crate) struct Builder {
     pub(crate) solids: Vec<Solid>,
@@ -53,19 +54,34 @@ impl Builder {
         }
     }
 
-    /// What follows stands here, turned by `angle_rad` about the vertical.
+    /// Sets the place of the following solids, rotated by `angle_rad` about the vertical.
     pub(crate) fn at(&mut self, x: f64, y: f64, z: f64, angle_rad: f64) -> &mut Self {
         self.world_from_piece = Se3::new(yaw(angle_rad), Vector3::new(x, y, z));
         self
     }
 
-    /// A new number for each thing that should differ from its neighbour.
+    /// A new seed, so that things of one kind differ.
     pub(crate) fn seed(&mut self) -> u32 {
         self.seed = self
             .seed
             .wrapping_mul(0x9E37_79B1)
             .wrapping_add(0x7F4A_7C15);
         self.seed >> 3
+    }
+
+    pub(crate) fn wood(&mut self, tone: Rgb) -> Material {
+        let seed = self.seed();
+        Material::Wood { tone, seed }
+    }
+
+    pub(crate) fn paint(&mut self, tone: Rgb) -> Material {
+        let seed = self.seed();
+        Material::Painted { tone, seed }
+    }
+
+    pub(crate) fn fabric(&mut self, cloth: Cloth) -> Material {
+        let seed = self.seed();
+        Material::Fabric { cloth, seed }
     }
 
     pub(crate) fn solid(&mut self, shape: Shape, piece_from_solid: Se3, material: Material) {
@@ -141,7 +157,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rotation_along_takes_z_there_and_stays_a_rotation() {
+    fn rotation_along_maps_z_and_is_a_rotation() {
         let x = Vector3::x();
         for z in [
             Vector3::new(0.0, 0.0, -2.0),
@@ -154,11 +170,11 @@ mod tests {
             assert!((r.matrix().determinant() - 1.0).abs() < 1e-14, "{z:?}");
         }
         let upright = rotation_along(&Vector3::z(), &x);
-        assert!(upright.angle_rad() < 1e-14, "z and x as they are");
+        assert!(upright.angle_rad() < 1e-14, "the identity");
     }
 
     #[test]
-    fn pieces_are_turned_and_moved() {
+    fn pieces_are_rotated_and_moved() {
         let mut b = Builder::new(1);
         b.at(1.0, 2.0, 0.0, std::f64::consts::FRAC_PI_2);
         b.rod(

@@ -1,9 +1,9 @@
-//! [`View`]: the solids as one camera sees them, sorted into tiles; and the rays cast into them.
+//! [`View`]: the solids seen by one camera, sorted into tiles, and the rays cast into them.
 //!
 //! A ray is o + z d with d = ((u - cx)/fx, (v - cy)/fy, 1) in the camera's frame, so its parameter
-//! is the depth. Each solid carries the camera's place in its own frame, and one 3x3 matrix brings
-//! d there. A tile lists the solids whose bounding boxes project into it, nearest first: once
-//! something is hit, a solid that begins behind it ends the search.
+//! is the depth. Each solid stores the position of the camera in its own frame and a 3x3 matrix that
+//! rotates d there. A tile lists the solids whose bounding boxes project into it, nearest first: after
+//! a hit, the first solid that begins behind it ends the search.
 
 use garad_core::{Camera, Se3};
 use nalgebra::{Matrix3, Vector3};
@@ -13,13 +13,13 @@ use crate::solid::Solid;
 
 /// Side of a tile, pixels.
 const TILE: usize = 8;
-/// Nothing in the picture is nearer to the camera's plane than this, metres.
+/// Near plane, metres.
 const NEAR_M: f64 = 0.05;
 
-/// What a ray meets.
+/// What a ray hits.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Hit {
-    /// Which solid.
+    /// Index of the solid.
     pub(crate) index: usize,
     /// Depth along the optical axis, metres.
     pub(crate) z: f64,
@@ -29,7 +29,7 @@ pub(crate) struct Hit {
 struct Seen {
     camera_in_solid: Vector3<f64>,
     solid_from_camera: Matrix3<f64>,
-    /// No part of it is nearer.
+    /// Depth of its nearest part.
     z_min: f64,
 }
 
@@ -85,7 +85,7 @@ impl View {
     /// where the box's edges cross it.
     fn bounds(camera: &Camera, solid: &Solid, camera_from_solid: &Se3) -> Option<(f64, [f64; 4])> {
         if let Shape::Room { .. } = solid.shape {
-            // behind everything else, and seen by every ray that meets nothing
+            // behind everything else, and hit by every ray that hits nothing else
             let everywhere = [0.0, camera.width as f64, 0.0, camera.height as f64];
             return Some((f64::MAX, everywhere));
         }
@@ -130,13 +130,13 @@ impl View {
         Vector3::new((u - c.cx) / c.fx, (v - c.cy) / c.fy, 1.0)
     }
 
-    /// The first solid on the ray through a pixel of the picture.
+    /// The first solid on the ray through a pixel of the image.
     #[inline]
     pub(crate) fn cast(&self, u: f64, v: f64) -> Option<Hit> {
         #[allow(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
-            reason = "a pixel's tile; what is outside goes to the border"
+            reason = "the tile of a pixel, clamped to the border"
         )]
         let tile = |x: f64, count: usize| ((x.max(0.0) / TILE as f64) as usize).min(count - 1);
         let t = tile(v, self.rows) * self.columns + tile(u, self.columns);
@@ -175,12 +175,12 @@ impl View {
     }
 }
 
-/// Tiles [c0, c1, r0, r1], ends included, that a box of pixels touches with a pixel to spare;
-/// `None` outside the picture.
+/// Tiles [c0, c1, r0, r1], ends included, that a box of pixels touches with a margin of one pixel;
+/// `None` outside the image.
 #[allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "clamped to the picture before the cast"
+    reason = "clamped to the image before the cast"
 )]
 fn tile_range(pixels: [f64; 4], columns: usize, rows: usize) -> Option<[usize; 4]> {
     let range = |low: f64, high: f64, count: usize| {
@@ -241,7 +241,7 @@ mod tests {
     use crate::material::Material;
     use crate::room::furnished;
 
-    /// The wall ahead is 2.5 m away at every pixel, and a box before it where its face projects.
+    /// The wall is at 2.5 m in every pixel, except where the face of a box projects.
     #[test]
     fn depth_is_the_distance_along_the_axis() {
         let camera = Camera::pinhole((64, 48), [52.0, 52.0, 32.0, 23.0]).expect("a camera");
@@ -263,9 +263,9 @@ mod tests {
         }
     }
 
-    /// Tiles and depth order change nothing: every ray against every solid.
+    /// Tiles and depth order do not change the result of testing every ray against every solid.
     #[test]
-    fn tiles_miss_nothing() {
+    fn tiles_miss_no_solid() {
         let camera = Camera::pinhole((160, 120), [131.0, 131.0, 80.3, 58.9]).expect("a camera");
         for name in SceneName::all() {
             let solids: Vec<Solid> = furnished(furnishing(name), 1)

@@ -1,22 +1,22 @@
-//! Whether the room can be had at all: how much of what the static twin shows is never uncovered.
+//! How much of the room is hidden in every frame.
 //!
-//! A map is judged against the twin over all pixels. What is covered in every frame cannot be in any
-//! map, whoever makes it, and sets the ceiling of that figure.
+//! A map is judged against the twin over all pixels. What is hidden in every frame cannot be in any map and
+//! limits that figure.
 
 use garad_core::{Camera, Par};
 use garad_synth::{Scene, SceneConfig, SceneName, SynthFrame};
 use nalgebra::Vector2;
 
-/// Frames between those that are looked at.
+/// Step between the frames used.
 const STEP: usize = 5;
-/// Two depths this near to each other are one surface, as a share.
+/// Largest relative difference of two depths of one surface.
 const SAME_SURFACE: f64 = 0.05;
 
-/// Whether the room is seen in `frame` where the twin has depth `z` at pixel (u, v).
+/// Whether `frame` sees the point of the room that the twin sees at pixel (u, v).
 #[allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "inside the picture"
+    reason = "inside the image"
 )]
 fn uncovers(
     frame: &SynthFrame,
@@ -38,7 +38,7 @@ fn uncovers(
     same && frame.mask[at] == 0
 }
 
-/// Share of the twin's pixels that are covered in every frame.
+/// Share of the pixels of the twin that are hidden in every frame.
 fn never_uncovered(base: &Scene, name: SceneName) -> f64 {
     let (scene, camera) = (base.sibling(name), base.camera());
     let twin = scene.static_twin();
@@ -61,7 +61,7 @@ fn never_uncovered(base: &Scene, name: SceneName) -> f64 {
 }
 
 #[test]
-fn of_the_room_nearly_all_is_uncovered_but_in_a_huddle() {
+fn nearly_all_of_the_room_is_seen_except_in_a_huddle() {
     let config = SceneConfig {
         width: 96,
         height: 72,
@@ -73,7 +73,7 @@ fn of_the_room_nearly_all_is_uncovered_but_in_a_huddle() {
         let share = never_uncovered(&base, name);
         assert!(share < 0.01, "{name}: {share} is never seen");
     }
-    // Who stands there all the time hides what is behind.
+    // Two people stand in place all the time.
     let share = never_uncovered(&base, SceneName::Huddle);
     assert!((0.08..0.15).contains(&share), "huddle: {share}");
 }

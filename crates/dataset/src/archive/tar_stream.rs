@@ -1,4 +1,4 @@
-//! Tar archives, plain and gzipped, entry by entry and within the caps.
+//! Tar archives, plain and gzipped, entry by entry and within the limits.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -9,19 +9,19 @@ use std::rc::Rc;
 
 use flate2::read::MultiGzDecoder;
 
-use super::{Stored, broken, check_entries, entry_name, is_wanted, special, too_large};
+use super::entry::{Stored, broken, check_entries, entry_name, is_wanted, special, too_large};
 use crate::errors::DatasetError;
+use crate::files::check_file_size;
 use crate::limits;
-use crate::source::check_file_size;
 
-/// Finds the files of a plain tar; they stay where they are.
+/// Finds the files of a plain tar; they are read from it on demand.
 pub(super) fn index_tar(path: &Path, file: File) -> Result<BTreeMap<String, Stored>, DatasetError> {
     let length = file.metadata().map_err(DatasetError::io(path))?.len();
     let mut archive = tar::Archive::new(BufReader::new(file));
     let entries = archive.entries_with_seek().map_err(|e| broken(path, e))?;
     walk_tar(path, entries, |_, entry| {
         let (offset, bytes) = (entry.raw_file_position(), entry.size());
-        // Seeking past the end is no error, so a cut archive has to be noticed here.
+        // Seeking past the end is not an error, so a truncated archive must be found here.
         if offset.checked_add(bytes).is_none_or(|end| end > length) {
             return Err(broken(path, "it ends inside a file"));
         }
@@ -29,7 +29,7 @@ pub(super) fn index_tar(path: &Path, file: File) -> Result<BTreeMap<String, Stor
     })
 }
 
-/// Unpacks a gzipped tar into memory, as far as a recording can refer to it.
+/// Unpacks the files of a gzipped tar that a recording can refer to into memory.
 pub(super) fn load_tgz(path: &Path, file: File) -> Result<BTreeMap<String, Stored>, DatasetError> {
     let packed = Rc::new(Cell::new(0));
     let breach = Rc::new(Cell::new(None));
@@ -64,10 +64,10 @@ pub(super) fn load_tgz(path: &Path, file: File) -> Result<BTreeMap<String, Store
     }
 }
 
-/// Goes through a tar stream entry by entry and stores what a recording can refer to.
+/// Stores the entries of a tar stream that a recording can refer to.
 ///
-/// The tar crate's own handling of long names would read them whole, however long they claim to
-/// be, so entries are taken raw and the two kinds of long names are read here, with a cap.
+/// The tar crate reads long names of any claimed length, so entries are taken raw and the two kinds of
+/// long names are read here, with a limit.
 fn walk_tar<R: Read>(
     path: &Path,
     entries: tar::Entries<'_, R>,
@@ -147,8 +147,7 @@ fn pax_path(path: &Path, record: &[u8]) -> Result<Option<Vec<u8>>, DatasetError>
         let extension = extension.map_err(|e| broken(path, e))?;
         match extension.key_bytes() {
             b"path" => name = Some(extension.value_bytes().to_vec()),
-            // A second opinion on the size: needed above 8 GiB alone, and a way to make two
-            // readers see two different archives.
+            // Needed only above 8 GiB, and a way to make two readers see different archives.
             b"size" => return Err(broken(path, "a pax record overrides a size")),
             key if key.starts_with(b"GNU.sparse") => {
                 return Err(broken(path, "it holds a sparse file"));
@@ -159,7 +158,7 @@ fn pax_path(path: &Path, record: &[u8]) -> Result<Option<Vec<u8>>, DatasetError>
     Ok(name)
 }
 
-/// Counts what is read through it.
+/// Counts the bytes read through it.
 struct Counted<R> {
     inner: R,
     count: Rc<Cell<u64>>,
@@ -176,7 +175,7 @@ impl<R: Read> Read for Counted<R> {
 /// A measure, its value and its limit.
 type Breach = (&'static str, u64, u64);
 
-/// Stops a decoder (not its input: that would cap the wrong side) at the caps of an archive.
+/// Stops a decoder at the limits of an archive, by its output.
 struct Capped<R> {
     inner: R,
     unpacked: u64,

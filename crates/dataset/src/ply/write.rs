@@ -5,12 +5,29 @@ use std::path::Path;
 
 use garad_core::{GaussianMap, Label};
 
-use super::{STANDARD_FLOATS, standard_names};
 use crate::atomic::write_atomically;
 use crate::errors::DatasetError;
 
 /// SH coefficients per channel in the standard vertex.
 const COEFFICIENTS: usize = 16;
+
+/// Floats in the standard vertex.
+const STANDARD_FLOATS: usize = 62;
+
+/// Names of the standard vertex's properties, in order.
+fn standard_names() -> Vec<String> {
+    let numbered = |name: &'static str, n: usize| (0..n).map(move |i| format!("{name}{i}"));
+    let plain = |names: [&str; 3]| names.map(str::to_owned);
+    let mut names = Vec::with_capacity(STANDARD_FLOATS);
+    names.extend(plain(["x", "y", "z"]));
+    names.extend(plain(["nx", "ny", "nz"]));
+    names.extend(numbered("f_dc_", 3));
+    names.extend(numbered("f_rest_", 45));
+    names.push("opacity".to_owned());
+    names.extend(numbered("scale_", 3));
+    names.extend(numbered("rot_", 4));
+    names
+}
 
 /// What goes into the file besides the standard 62 floats.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -35,8 +52,8 @@ pub fn write_ply(
     write_atomically(path, |out| format_ply(out, map, options))
 }
 
-/// Writes a map to a stream; the same map gives the same bytes. See the
-/// [module's words](super) for the layout.
+/// Writes a map to a stream; the same map gives the same bytes. The layout is in the
+/// [module's documentation](super).
 ///
 /// # Errors
 /// Those of `out`.

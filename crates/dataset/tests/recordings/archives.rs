@@ -1,4 +1,4 @@
-//! Recordings inside archives, and archives that mean harm.
+//! Recordings inside archives, and hostile archives.
 
 use std::fs::{self, File};
 use std::io::{Cursor, Write};
@@ -28,13 +28,13 @@ fn open(path: &Path) -> Result<Dataset, DatasetError> {
     Dataset::open(path, &OpenOptions::default())
 }
 
-fn complaint(path: &Path) -> String {
-    let message = open(path).expect_err("it is spoilt").to_string();
+fn error_of(path: &Path) -> String {
+    let message = open(path).expect_err("it is damaged").to_string();
     assert!(!message.contains('\n'), "one line: {message}");
     message
 }
 
-/// One tar entry with a name as it stands, however odd.
+/// One tar entry with an unchecked name.
 fn append(tar: &mut tar::Builder<Vec<u8>>, kind: tar::EntryType, name: &str, bytes: &[u8]) {
     let mut header = tar::Header::new_ustar();
     header.set_entry_type(kind);
@@ -160,7 +160,7 @@ fn archives_read_like_folders() {
     }
 }
 
-/// Masks travel with the recording: as a folder, as any archive.
+/// Masks inside a folder and inside any archive.
 #[test]
 fn masks_are_read_from_inside() {
     let mut png = Vec::new();
@@ -213,9 +213,9 @@ fn masks_are_read_from_inside() {
     assert!(!open(&bare).expect("good").has_folder(MASK_FOLDER), "none");
 }
 
-/// A spoilt mask is named with the archive and its frame.
+/// A bad mask is reported with archive and frame.
 #[test]
-fn spoilt_masks_are_named() {
+fn bad_masks_are_reported() {
     let mut entries = good_entries("");
     entries.push(("mask/1.10.png".to_owned(), 0o644, b"no picture".to_vec()));
     let folder = Folder::new();
@@ -259,7 +259,7 @@ fn long_names_are_read() {
 }
 
 #[test]
-fn names_that_climb_out_are_refused() {
+fn names_that_lead_outside_are_refused() {
     let folder = Folder::new();
     for name in [
         "../evil.txt",
@@ -278,7 +278,7 @@ fn names_that_climb_out_are_refused() {
             folder.file("a.tgz", &gzip(&tar)),
             folder.zip("a.zip", &entries),
         ] {
-            let message = complaint(&path);
+            let message = error_of(&path);
             assert!(
                 message.contains("refused") && message.contains("evil")
                     || message.contains("passwd"),
@@ -296,13 +296,13 @@ fn names_that_climb_out_are_refused() {
     );
     append(&mut tar, tar::EntryType::Regular, "fine.txt", b"gotcha");
     let path = folder.file("long.tar", &tar.into_inner().expect("finished"));
-    assert!(complaint(&path).contains("evil"), "long name");
+    assert!(error_of(&path).contains("evil"), "long name");
     let mut tar = good_tar("x/");
     tar.append_pax_extensions([("path", b"/evil.txt".as_slice())])
         .expect("appended");
     append(&mut tar, tar::EntryType::Regular, "fine.txt", b"gotcha");
     let path = folder.file("pax.tar", &tar.into_inner().expect("finished"));
-    assert!(complaint(&path).contains("evil"), "pax name");
+    assert!(error_of(&path).contains("evil"), "pax name");
 }
 
 #[test]
@@ -324,7 +324,7 @@ fn links_and_devices_are_refused() {
             folder.file("a.tar", &tar),
             folder.file("a.tgz", &gzip(&tar)),
         ] {
-            let message = complaint(&path);
+            let message = error_of(&path);
             assert!(
                 message.contains(word) && message.contains("1.20.png"),
                 "{message}"
@@ -333,7 +333,7 @@ fn links_and_devices_are_refused() {
     }
     let mut entries = good_entries("x/");
     entries.push(("x/evil.png".to_owned(), 0o120_777, b"/etc/passwd".to_vec()));
-    let message = complaint(&folder.zip("a.zip", &entries));
+    let message = error_of(&folder.zip("a.zip", &entries));
     assert!(
         message.contains("link") && message.contains("evil"),
         "{message}"
@@ -341,7 +341,7 @@ fn links_and_devices_are_refused() {
 }
 
 #[test]
-fn bombs_are_defused() {
+fn decompression_bombs_are_refused() {
     let folder = Folder::new();
     // 60 MiB of nothing in 60 kB; passed over as a file, counted as a bomb.
     let mut tar = good_tar("x/");
@@ -352,7 +352,7 @@ fn bombs_are_defused() {
         &vec![0; 60 << 20],
     );
     let mut tar = tar.into_inner().expect("finished");
-    let message = complaint(&folder.file("a.tgz", &gzip(&tar)));
+    let message = error_of(&folder.file("a.tgz", &gzip(&tar)));
     assert!(message.contains("per packed byte"), "{message}");
     // As a plain tar it is no bomb.
     assert!(
@@ -389,11 +389,11 @@ fn bombs_are_defused() {
         &vec![b'a'; 70_000],
     );
     let path = folder.file("name.tar", &tar.into_inner().expect("finished"));
-    assert!(complaint(&path).contains("long name"), "70 kB of name");
+    assert!(error_of(&path).contains("long name"), "70 kB of name");
 }
 
 #[test]
-fn broken_archives_are_named() {
+fn broken_archives_are_reported() {
     let folder = Folder::new();
     let tar = good_tar("x/").into_inner().expect("finished");
     let packed = gzip(&tar);
@@ -416,18 +416,18 @@ fn broken_archives_are_named() {
         ),
     ];
     for (name, bytes, expected) in cases {
-        let message = complaint(&folder.file(name, bytes));
+        let message = error_of(&folder.file(name, bytes));
         assert!(message.contains(expected), "{name}: {message}");
     }
     let mut twice = good_entries("a/");
     twice.extend(good_entries("b/"));
-    let message = complaint(&folder.zip("twice.zip", &twice));
+    let message = error_of(&folder.zip("twice.zip", &twice));
     assert!(message.contains("several recordings"), "{message}");
 }
 
-/// Seeded damage to archives: an answer or an error, never a panic.
+/// A damaged archive gives a recording or an error, never a panic.
 #[test]
-fn damaged_archives_do_no_harm() {
+fn damaged_archives_do_not_panic() {
     let folder = Folder::new();
     let tar = good_tar("x/").into_inner().expect("finished");
     let zip = fs::read(folder.zip("whole.zip", &good_entries("x/"))).expect("there");

@@ -1,4 +1,4 @@
-//! A small good recording to spoil.
+//! A small valid recording, to be damaged.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -75,7 +75,7 @@ impl Recording {
     }
 
     /// The message of opening or of reading frame i.
-    pub(crate) fn complaint(&self, i: usize) -> String {
+    pub(crate) fn error_of(&self, i: usize) -> String {
         let answer = self.open().and_then(|dataset| dataset.read(i));
         let message = answer.expect_err("it is spoilt").to_string();
         assert!(!message.contains('\n'), "one line: {message}");

@@ -17,7 +17,7 @@ fn the_sample_is_whole() {
 }
 
 #[test]
-fn a_good_recording_reads_as_it_was_written() {
+fn a_good_recording_is_read() {
     let recording = Recording::new(3);
     let dataset = recording.open().expect("good");
     assert_eq!(dataset.len(), 3, "frames");
@@ -61,7 +61,7 @@ fn text_from_other_systems_is_accepted() {
 }
 
 #[test]
-fn spoilt_lists_are_named() {
+fn bad_lists_are_reported() {
     let cases: [(&str, &[u8], &str); 12] = [
         ("rgb.txt", b"", "lists no image"),
         ("depth.txt", b"# nothing\n", "lists no image"),
@@ -87,20 +87,20 @@ fn spoilt_lists_are_named() {
     for (file, bytes, expected) in cases {
         let recording = Recording::new(2);
         recording.write(file, bytes);
-        let message = recording.complaint(0);
+        let message = recording.error_of(0);
         assert!(message.contains(expected), "{expected}: {message}");
     }
 }
 
 #[test]
-fn missing_pieces_are_named() {
+fn missing_files_are_reported() {
     for (file, expected) in [
         ("rgb.txt", "without rgb.txt"),
         ("depth.txt", "without depth.txt"),
     ] {
         let recording = Recording::new(1);
         recording.remove(file);
-        assert!(recording.complaint(0).contains(expected), "{expected}");
+        assert!(recording.error_of(0).contains(expected), "{expected}");
     }
     let nowhere = Dataset::open(Path::new("/nowhere/at/all"), &OpenOptions::default());
     assert!(
@@ -180,7 +180,7 @@ fn images_without_partner_are_counted() {
 }
 
 #[test]
-fn frames_are_cut_as_asked() {
+fn options_select_the_frames() {
     let recording = Recording::new(5);
     let open = |first_frame, max_frames| {
         let options = OpenOptions {
@@ -223,7 +223,7 @@ fn frames_are_cut_as_asked() {
 }
 
 #[test]
-fn calibration_comes_from_the_first_that_has_one() {
+fn calibration_comes_from_the_first_source() {
     let mut options = OpenOptions::default();
     let parent = Recording::new(2);
     let file = parent.at("other.txt");
@@ -264,7 +264,7 @@ fn calibration_comes_from_the_first_that_has_one() {
     // Nothing at all: the choices are listed.
     let recording = Recording::new(1);
     recording.remove("camera.txt");
-    let message = recording.complaint(0);
+    let message = recording.error_of(0);
     assert!(
         message.contains("freiburg1, freiburg2, freiburg3, bonn"),
         "{message}"
@@ -291,7 +291,7 @@ depth_max_raw = 40000
 ";
 
 #[test]
-fn spoilt_calibrations_are_named() {
+fn bad_calibrations_are_reported() {
     let cases = [
         ("8 6 nan 10 3.5 2.5 5000 30", "camera.txt:1:"),
         (
@@ -318,7 +318,7 @@ fn spoilt_calibrations_are_named() {
     for (text, expected) in cases {
         let recording = Recording::new(1);
         recording.write("camera.txt", text);
-        let message = recording.complaint(0);
+        let message = recording.error_of(0);
         assert!(message.contains(expected), "{text:?}: {message}");
     }
 }

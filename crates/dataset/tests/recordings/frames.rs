@@ -5,7 +5,7 @@ use garad_dataset::DatasetError;
 use crate::fixture::Recording;
 
 #[test]
-fn any_number_ahead_gives_the_same_frames() {
+fn prefetching_does_not_change_the_frames() {
     let recording = Recording::new(6);
     let dataset = recording.open().expect("good");
     let direct: Vec<_> = (0..6).map(|i| dataset.read(i).expect("good")).collect();
@@ -27,7 +27,7 @@ fn any_number_ahead_gives_the_same_frames() {
 }
 
 #[test]
-fn a_bad_frame_is_its_error_and_the_next_follows() {
+fn a_bad_frame_is_an_error_and_the_next_follows() {
     let recording = Recording::new(4);
     recording.remove("rgb/1.20.png");
     let dataset = recording.open().expect("opens");
@@ -48,8 +48,7 @@ fn a_bad_frame_is_its_error_and_the_next_follows() {
     }
 }
 
-/// The drop waits for the thread; were it not told to stop, the full channel would hold it
-/// there for ever.
+/// The drop waits for the thread, which a full channel would otherwise block for ever.
 #[test]
 fn dropping_early_ends_the_thread() {
     let recording = Recording::new(8);

@@ -1,4 +1,4 @@
-//! Images of every kind that must be read, and of those that must not.
+//! Kinds of images that are read, and kinds that are refused.
 
 use std::fs;
 
@@ -11,7 +11,7 @@ const RGB0: &str = "rgb/1.00.png";
 const DEPTH0: &str = "depth/1.005.png";
 
 #[test]
-fn colour_of_other_kinds_is_converted_and_said_so() {
+fn other_kinds_of_colour_are_converted_with_a_warning() {
     let (w, h) = SIZE;
     let cases: [(DynamicImage, [u8; 3], &str); 3] = [
         (
@@ -22,7 +22,7 @@ fn colour_of_other_kinds_is_converted_and_said_so() {
         (
             ImageBuffer::from_pixel(w, h, Luma([7u8])).into(),
             [7; 3],
-            "grey stands for",
+            "grey is used for",
         ),
         (
             ImageBuffer::from_pixel(w, h, LumaA([9u8, 99])).into(),
@@ -48,7 +48,7 @@ fn colour_of_other_kinds_is_converted_and_said_so() {
 }
 
 #[test]
-fn jpeg_is_known_by_its_content() {
+fn jpeg_is_recognised_by_its_content() {
     let recording = Recording::new(1);
     let (w, h) = SIZE;
     recording.save(
@@ -64,13 +64,13 @@ fn jpeg_is_known_by_its_content() {
     let whole = fs::read(recording.at(RGB0)).expect("there");
     recording.write(RGB0, &whole[..whole.len() - 2]);
     assert!(
-        recording.complaint(0).contains("ends early"),
+        recording.error_of(0).contains("ends early"),
         "no end marker"
     );
 }
 
 #[test]
-fn spoilt_images_are_named_with_frame_and_file() {
+fn bad_images_are_reported_with_frame_and_file() {
     let (w, h) = SIZE;
     let png = |bytes: &[u8], n: usize| bytes[..n].to_vec();
     let whole = fs::read(Recording::new(1).at(RGB0)).expect("there");
@@ -100,7 +100,7 @@ fn spoilt_images_are_named_with_frame_and_file() {
     for (file, bytes, expected) in cases {
         let recording = Recording::new(2);
         recording.write(file, bytes);
-        let message = recording.complaint(0);
+        let message = recording.error_of(0);
         assert!(
             message.starts_with("frame 0: ")
                 && message.contains(file)
@@ -142,7 +142,7 @@ fn spoilt_images_are_named_with_frame_and_file() {
     for (file, image, expected) in images {
         let recording = Recording::new(1);
         recording.save(file, image);
-        let message = recording.complaint(0);
+        let message = recording.error_of(0);
         assert!(
             message.contains(file) && message.contains(expected),
             "{expected}: {message}"
@@ -151,17 +151,17 @@ fn spoilt_images_are_named_with_frame_and_file() {
 }
 
 #[test]
-fn absent_images_are_named_with_their_line() {
+fn absent_images_are_reported_with_their_line() {
     let recording = Recording::new(2);
     recording.remove("depth/1.105.png");
-    let message = recording.complaint(1);
+    let message = recording.error_of(1);
     assert!(
         message.starts_with("frame 1: ") && message.contains("depth.txt:3"),
         "{message}"
     );
     fs::create_dir(recording.at("depth/1.105.png")).expect("made");
     assert!(
-        recording.complaint(1).contains("absent"),
+        recording.error_of(1).contains("absent"),
         "a folder is no image"
     );
 }
@@ -180,7 +180,7 @@ fn a_size_that_changes_is_an_error_of_its_frame() {
 }
 
 #[test]
-fn a_picture_larger_than_the_caps_is_not_decoded() {
+fn an_image_above_the_limits_is_not_decoded() {
     let recording = Recording::new(1);
     // A header alone: 20000x20000 pixels would be 1.2 GB.
     let mut png = fs::read(recording.at(RGB0)).expect("there");
@@ -188,7 +188,7 @@ fn a_picture_larger_than_the_caps_is_not_decoded() {
     let crc = png_crc(&png[12..29]);
     png[29..33].copy_from_slice(&crc.to_be_bytes());
     recording.write(RGB0, png);
-    let message = recording.complaint(0);
+    let message = recording.error_of(0);
     assert!(
         message.contains(RGB0) && !message.contains("CRC"),
         "{message}"
@@ -196,7 +196,7 @@ fn a_picture_larger_than_the_caps_is_not_decoded() {
 }
 
 #[test]
-fn a_file_larger_than_the_caps_is_not_read() {
+fn a_file_above_the_limits_is_not_read() {
     let recording = Recording::new(1);
     let grow = |bytes: u64| {
         let file = fs::OpenOptions::new()
@@ -206,14 +206,14 @@ fn a_file_larger_than_the_caps_is_not_read() {
     };
     grow((64 << 20) + 1);
     assert!(
-        recording.complaint(0).contains("at most 67108864"),
+        recording.error_of(0).contains("at most 67108864"),
         "a byte too many"
     );
     grow(64 << 20);
     recording
         .open()
         .and_then(|d| d.read(0))
-        .expect("what follows the picture is not looked at");
+        .expect("bytes behind the image are ignored");
 }
 
 /// CRC-32 of PNG, bit by bit.
@@ -233,7 +233,7 @@ fn png_crc(bytes: &[u8]) -> u32 {
 fn missing_depth_is_zero() {
     let (w, h) = SIZE;
     let raw = [0u16, 1, 39_999, 40_000, 59_999, 60_000, 65_534, 65_535];
-    // What is read in millimetres, with a cap of its own, and in fifths of a millimetre.
+    // In millimetres, in millimetres with a limit, and in fifths of a millimetre.
     let cases = [
         ("1000 30", [0, 1, 39_999, 40_000, 59_999, 0, 0, 0], 1000.0),
         (
@@ -272,7 +272,7 @@ fn missing_depth_is_zero() {
 }
 
 #[test]
-fn masks_go_by_the_timestamp() {
+fn masks_are_named_by_the_timestamp() {
     let recording = Recording::new(2);
     let (w, h) = SIZE;
     fs::create_dir(recording.at("mask")).expect("made");

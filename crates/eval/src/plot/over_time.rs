@@ -1,10 +1,10 @@
-//! What happened when: trajectory error and duration of tracking, frame by frame.
+//! Trajectory error and duration of tracking over time.
 
 use std::ops::Range;
 
 use plotters::prelude::*;
 
-use super::{
+use super::style::{
     ALARM, BAND_OPACITY, Canvas, ESTIMATE, GRID, INK, Key, SCALE, TEXT_PX, TRUTH, failed, font,
     legend, length_unit, stroke, svg, tick_format, ticks, unbroken,
 };
@@ -14,7 +14,7 @@ const WIDTH: u32 = 980;
 const HEIGHT: u32 = 250;
 const LEFT: u32 = 60;
 
-/// How long the tracker took for one frame.
+/// Duration of tracking of one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameTime {
     /// Time of the frame in the recording, seconds.
@@ -26,7 +26,7 @@ pub struct FrameTime {
 }
 
 /// SVG of the trajectory error over time since `start_s`, with its RMSE as a line and the
-/// stretches in which tracking was `lost` (seconds, in the recording's time) as bands.
+/// intervals in which tracking was `lost` (seconds, in the recording's time) as bands.
 ///
 /// # Errors
 /// [`EvalError::TooFew`] without points, [`EvalError::Plot`] if drawing fails.
@@ -82,8 +82,8 @@ pub fn error_over_time(
     })
 }
 
-/// SVG of the tracker's time per frame since `start_s`; keyframes are dots. `budget_ms`, the
-/// time between two frames of the sensor, is drawn as a line where it fits in.
+/// SVG of the tracking time per frame since `start_s`; keyframes are dots. `budget_ms`, the time
+/// between two frames of the sensor, is drawn as a line if it fits.
 ///
 /// # Errors
 /// [`EvalError::TooFew`] without frames, [`EvalError::NonFinite`], [`EvalError::Plot`].
@@ -138,7 +138,7 @@ type Chart<'a, 'b> = ChartContext<
     Cartesian2d<plotters::coord::types::RangedCoordf64, plotters::coord::types::RangedCoordf64>,
 >;
 
-/// Time to the right from 0, something positive up from 0.
+/// Axes of a plot over time: time to the right from 0, a positive quantity up from 0.
 struct Axes {
     duration_s: f64,
     top: f64,
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn error_plot_says_its_numbers() {
+    fn error_plot_has_a_legend() {
         let points = points(&[10.0, 10.1, 10.2]);
         let text = error_over_time(&points, 10.0, &[10.2..10.5]).expect("three points");
         assert!(text.contains("RMSE 2.00 cm"), "legend");

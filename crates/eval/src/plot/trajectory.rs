@@ -1,16 +1,16 @@
-//! The trajectory seen along one axis, true and estimated.
+//! True and estimated trajectory, seen along one axis.
 
 use nalgebra::Vector3;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::{
-    ALARM, ESTIMATE, GRID, INK, Key, SCALE, TEXT_PX, TRUTH, failed, font, legend, length_unit,
-    stroke, svg, tick_format, ticks, unbroken,
+use super::style::{
+    ALARM, Canvas, ESTIMATE, GRID, INK, Key, SCALE, TEXT_PX, TRUTH, failed, font, legend,
+    length_unit, stroke, svg, tick_format, ticks, unbroken,
 };
 use crate::{AtePoint, EvalError};
 
-/// Two axes of the ground truth's world: what is drawn to the right, and up (0, 1, 2 = x, y, z).
+/// Two axes of the world of the ground truth, drawn to the right and up (0, 1, 2 = x, y, z).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Plane {
     /// Axis drawn to the right.
@@ -41,8 +41,8 @@ pub fn widest_planes(points: &[AtePoint]) -> [Plane; 2] {
     })
 }
 
-/// SVG of ground truth (grey) and aligned estimate (blue where right, orange where wrong); both
-/// axes have one scale. Keyframes are dots, the first pose a ring.
+/// SVG of ground truth (grey) and aligned estimate (blue to orange with growing error); both axes have
+/// one scale. Keyframes are dots, the first pose a ring.
 ///
 /// `keyframes_s`: times of keyframes; those without a pair are not drawn.
 ///
@@ -134,12 +134,7 @@ pub fn trajectory_panel(
 }
 
 /// "error 0", the shades, "7.3 cm".
-fn error_scale(
-    canvas: &super::Canvas<'_>,
-    x: i32,
-    y: i32,
-    largest_m: f64,
-) -> Result<(), EvalError> {
+fn error_scale(canvas: &Canvas<'_>, x: i32, y: i32, largest_m: f64) -> Result<(), EvalError> {
     let (unit, per_m) = length_unit(largest_m);
     let style = font(TEXT_PX, &INK).pos(Pos::new(HPos::Left, VPos::Center));
     let (x, y) = (x * SCALE, y * SCALE);
@@ -165,8 +160,7 @@ fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
     })
 }
 
-/// Both ranges widened about their middles until a metre is as long to the right as up, with a
-/// rim of 5 %.
+/// Both ranges widened about their centres to one scale, with a margin of 5 %.
 fn one_scale(
     x: (f64, f64),
     y: (f64, f64),
@@ -197,7 +191,7 @@ fn shade_of(error_m: f64, largest_m: f64) -> u8 {
     shade.min(SHADES - 1)
 }
 
-/// From [`ESTIMATE`] over purple, so as not to meet the grey of the truth, to [`ALARM`].
+/// From [`ESTIMATE`] to [`ALARM`] over purple, which differs from the grey of the ground truth.
 fn shade_color(shade: u8) -> RGBColor {
     const MIDDLE: RGBColor = RGBColor(0x9c, 0x5f, 0xa8);
     let (position, end) = (2 * i32::from(shade), i32::from(SHADES - 1));
@@ -249,17 +243,17 @@ mod tests {
     }
 
     #[test]
-    fn a_metre_is_a_metre_in_both_directions() {
+    fn both_axes_have_one_scale() {
         let (x, y) = one_scale((0.0, 4.0), (1.0, 1.5), (400, 300));
         let (per_px_x, per_px_y) = ((x.1 - x.0) / 400.0, (y.1 - y.0) / 300.0);
         assert!((per_px_x - per_px_y).abs() < 1e-15, "{x:?} {y:?}");
         assert!(x.0 < 0.0 && x.1 > 4.0 && y.0 < 1.0 && y.1 > 1.5, "inside");
         let (x, _) = one_scale((2.0, 2.0), (1.0, 1.0), (400, 300));
-        assert!(x.1 > x.0, "a point has a range too");
+        assert!(x.1 > x.0, "a single point has a range");
     }
 
     #[test]
-    fn runs_meet_and_cover_all() {
+    fn runs_are_connected_and_complete() {
         let errors = [0.0, 0.01, 0.9, 1.0, 0.0];
         let points: Vec<_> = errors.iter().map(|&e| point(e, [e; 3], e)).collect();
         let runs = runs(&points, 1.0);

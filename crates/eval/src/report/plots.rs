@@ -2,67 +2,72 @@
 
 use std::ops::Range;
 
-use super::{FrameState, ReportData, note, section, start_s};
+use maud::{Markup, PreEscaped, html};
+
+use super::data::{FrameState, ReportData};
 use crate::EvalError;
 use crate::plot::{FrameTime, error_over_time, time_per_frame, trajectory_panel, widest_planes};
 
 /// Two views of the trajectory and the error over time.
-pub(super) fn trajectory(data: &ReportData<'_>) -> String {
-    let Some(ate) = data.ate else {
-        let reason = match data.not_judged {
-            "" => "The trajectory cannot be judged.".to_owned(),
-            reason => format!("The trajectory cannot be judged: {reason}."),
-        };
-        return section("Trajectory", &note(&reason));
-    };
-    let keyframes: Vec<f64> = data
-        .frames
-        .iter()
-        .filter(|frame| frame.keyframe)
-        .map(|frame| frame.t_s)
-        .collect();
-    let panels = widest_planes(&ate.points)
-        .map(|plane| shown(trajectory_panel(&ate.points, plane, &keyframes)));
-    let error = shown(error_over_time(
-        &ate.points,
-        start_s(data),
-        &lost_stretches(data.frames),
-    ));
-    let body = format!(
-        "<div class=\"pair\">{}</div>\n<div class=\"wide\">{error}</div>\n",
-        panels.concat()
-    );
-    section("Trajectory", &body)
+pub(super) fn trajectory(data: &ReportData<'_>) -> Markup {
+    let keyframes = data.frames.iter().filter(|frame| frame.keyframe);
+    let keyframes: Vec<f64> = keyframes.map(|frame| frame.t_s).collect();
+    html! {
+        section {
+            h2 { "Trajectory" }
+            @match data.ate {
+                None => { p.note { "The trajectory " (data.protocol) "." } }
+                Some(ate) => {
+                    div.pair {
+                        @for plane in widest_planes(&ate.points) {
+                            (shown(trajectory_panel(&ate.points, plane, &keyframes)))
+                        }
+                    }
+                    div.wide {
+                        (shown(error_over_time(&ate.points, start_s(data), &lost_stretches(data.frames))))
+                    }
+                }
+            }
+        }
+    }
 }
 
 /// Ribbon of tracked and lost frames, and the time each took.
-pub(super) fn tracking(data: &ReportData<'_>) -> String {
-    if data.frames.is_empty() {
-        return String::new();
-    }
-    let times: Vec<FrameTime> = data
-        .frames
-        .iter()
-        .filter_map(|frame| {
-            Some(FrameTime {
-                t_s: frame.t_s,
-                ms: frame.track_ms?,
-                keyframe: frame.keyframe,
-            })
+pub(super) fn tracking(data: &ReportData<'_>) -> Markup {
+    let frame_time = |frame: &FrameState| {
+        Some(FrameTime {
+            t_s: frame.t_s,
+            ms: frame.track_ms?,
+            keyframe: frame.keyframe,
         })
-        .collect();
-    let plot = if times.is_empty() {
-        String::new()
-    } else {
-        let budget = usual_interval_s(data.frames).map(|s| 1000.0 * s);
-        let plot = shown(time_per_frame(&times, start_s(data), budget));
-        format!("<div class=\"wide\">{plot}</div>\n")
     };
-    section("Tracking", &(ribbon(data.frames) + &plot))
+    let times: Vec<FrameTime> = data.frames.iter().filter_map(frame_time).collect();
+    let budget_ms = usual_interval_s(data.frames).map(|s| 1000.0 * s);
+    html! {
+        @if !data.frames.is_empty() {
+            section {
+                h2 { "Tracking" }
+                (ribbon(data.frames))
+                @if !times.is_empty() {
+                    div.wide { (shown(time_per_frame(&times, start_s(data), budget_ms))) }
+                }
+            }
+        }
+    }
 }
 
-fn shown(plot: Result<String, EvalError>) -> String {
-    plot.unwrap_or_else(|error| note(&format!("No plot: {error}.")))
+fn shown(plot: Result<String, EvalError>) -> Markup {
+    match plot {
+        Ok(svg) => PreEscaped(svg),
+        Err(error) => html! { p.note { "No plot: " (error) "." } },
+    }
+}
+
+/// Time of the first frame: plots start there.
+fn start_s(data: &ReportData<'_>) -> f64 {
+    let frame = data.frames.first().map(|frame| frame.t_s);
+    let point = data.ate.and_then(|ate| ate.points.first());
+    frame.or(point.map(|point| point.t_s)).unwrap_or(0.0)
 }
 
 /// From the last frame with a pose to the first with one again.
@@ -87,31 +92,29 @@ fn usual_interval_s(frames: &[FrameState]) -> Option<f64> {
 }
 
 /// One bar per run of equal state, keyframes as ticks below; each frame has the same width.
-fn ribbon(frames: &[FrameState]) -> String {
+fn ribbon(frames: &[FrameState]) -> Markup {
     let n = frames.len();
-    let share = |count: usize| 100.0 * count as f64 / n as f64;
-    let mut bars = String::new();
-    for run in frames.chunk_by(|a, b| a.tracked == b.tracked) {
-        let state = if run[0].tracked { "tracked" } else { "lost" };
-        let width = share(run.len());
-        let title = format!("{state}: {} frames", run.len());
-        bars += &format!("<i class=\"{state}\" style=\"width:{width:.3}%\" title=\"{title}\"></i>");
-    }
-    let ticks: String = (0..n)
-        .filter(|&i| frames[i].keyframe)
-        .map(|i| format!("<i style=\"left:{:.3}%\"></i>", share(i)))
-        .collect();
+    let percent = |count: usize| format!("{:.3}%", 100.0 * count as f64 / n as f64);
     let count = |f: fn(&FrameState) -> bool| frames.iter().filter(|frame| f(frame)).count();
     let (lost, keyframes) = (count(|f| !f.tracked), count(|f| f.keyframe));
-    format!(
-        "<div class=\"ribbon\">{bars}</div><div class=\"ticks\">{ticks}</div>\n\
-         <p class=\"key\"><span><i class=\"tracked\"></i>tracked: {}</span>\
-         <span><i class=\"lost\"></i>lost: {lost}</span>\
-         <span><i class=\"tick\"></i>keyframes: {keyframes}</span></p>\n",
-        n - lost
-    )
+    html! {
+        div.ribbon {
+            @for run in frames.chunk_by(|a, b| a.tracked == b.tracked) {
+                @let state = if run[0].tracked { "tracked" } else { "lost" };
+                i class=(state) style={ "width:" (percent(run.len())) }
+                    title={ (state) ": " (run.len()) " frames" } {}
+            }
+        }
+        div.ticks {
+            @for i in (0..n).filter(|&i| frames[i].keyframe) { i style={ "left:" (percent(i)) } {} }
+        }
+        p.key {
+            span { i.tracked {} "tracked: " (n - lost) }
+            span { i.lost {} "lost: " (lost) }
+            span { i.tick {} "keyframes: " (keyframes) }
+        }
+    }
 }
-
 #[cfg(test)]
 mod tests {
     use super::*;

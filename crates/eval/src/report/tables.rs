@@ -1,43 +1,45 @@
-//! Stages with their durations, all figures, and the configuration.
+//! Stages with their durations; long texts, folded.
 
-use super::{escape, section};
+use maud::{Markup, html};
+
 use crate::Metrics;
 
 /// One row per stage with a bar: full up to the median, pale up to the 95th percentile.
-pub(super) fn timing(metrics: &Metrics) -> String {
-    if metrics.timing.is_empty() {
-        return String::new();
-    }
-    let slowest = metrics
-        .timing
-        .values()
-        .fold(1e-9, |m: f64, t| m.max(t.p95_ms));
+pub(super) fn timing(metrics: &Metrics) -> Markup {
+    let timings = metrics.timing.values();
+    let slowest = timings.fold(1e-9, |m: f64, t| m.max(t.p95_ms));
+    let width = |ms: f64| format!("width:{:.2}%", (100.0 * ms / slowest).clamp(0.0, 100.0));
     let mut stages: Vec<_> = metrics.timing.iter().collect();
     // Slowest first; equal ones stay in the order of their names.
     stages.sort_by(|a, b| b.1.median_ms.total_cmp(&a.1.median_ms));
-    let rows: String = stages
-        .iter()
-        .map(|(name, t)| {
-            let share = |ms: f64| (100.0 * ms / slowest).clamp(0.0, 100.0);
-            format!(
-                "<tr><th scope=\"row\">{}</th><td>{}</td><td>{}</td><td>{}</td>\
-                 <td class=\"bars\"><i class=\"p95\" style=\"width:{:.2}%\"></i>\
-                 <i class=\"median\" style=\"width:{:.2}%\"></i></td></tr>\n",
-                escape(name),
-                t.calls,
-                milliseconds(t.median_ms),
-                milliseconds(t.p95_ms),
-                share(t.p95_ms),
-                share(t.median_ms)
-            )
-        })
-        .collect();
-    let table = format!(
-        "<div class=\"scroll\"><table class=\"timing\"><thead><tr><th>stage</th><th>calls</th>\
-         <th>median, ms</th><th>95 %, ms</th><th></th></tr></thead>\n<tbody>\n{rows}</tbody>\
-         </table></div>\n"
-    );
-    section("Time per stage", &table)
+    html! {
+        @if !stages.is_empty() {
+            section {
+                h2 { "Time per stage" }
+                div.scroll {
+                    table.timing {
+                        thead {
+                            tr { th { "stage" } th { "calls" } th { "median, ms" } th { "95 %, ms" } th {} }
+                        }
+                        tbody {
+                            @for (name, t) in stages {
+                                tr {
+                                    th scope="row" { (name) }
+                                    td { (t.calls) }
+                                    td { (milliseconds(t.median_ms)) }
+                                    td { (milliseconds(t.p95_ms)) }
+                                    td.bars {
+                                        i.p95 style=(width(t.p95_ms)) {}
+                                        i.median style=(width(t.median_ms)) {}
+                                    }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
 }
 
 fn milliseconds(ms: f64) -> String {
@@ -48,19 +50,14 @@ fn milliseconds(ms: f64) -> String {
     }
 }
 
-/// What `metrics.json` holds, in full precision.
-pub(super) fn all_figures(metrics: &Metrics) -> String {
-    details("All figures (metrics.json)", &metrics.to_json())
-}
-
-pub(super) fn configuration(toml: &str) -> String {
-    if toml.trim().is_empty() {
-        return String::new();
+/// A text under a summary, folded until it is clicked; nothing if it is empty.
+pub(super) fn details(summary: &str, text: &str) -> Markup {
+    html! {
+        @if !text.trim().is_empty() {
+            details {
+                summary { (summary) }
+                pre { (text) }
+            }
+        }
     }
-    details("Configuration as used", toml)
-}
-
-fn details(summary: &str, text: &str) -> String {
-    let text = escape(text);
-    format!("<details><summary>{summary}</summary>\n<pre>{text}</pre></details>\n")
 }

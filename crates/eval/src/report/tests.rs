@@ -1,16 +1,16 @@
-use garad_core::{Image, Real, Rng, Se3, So3, StampedPose};
+use garad_core::{Image, Real, RgbImage, Rng, Se3, So3, StampedPose};
 use nalgebra::Vector3;
 
 use super::*;
 use crate::metrics::RpeMetrics;
-use crate::{AteOptions, StageTiming, ate};
+use crate::{Ate, AteOptions, ImageQuality, Metrics, StageTiming, ate};
 
 /// A walk, an estimate of it that is lost for a while, and all that belongs on the page.
 struct Sample {
     metrics: Metrics,
     ate: Ate,
     frames: Vec<FrameState>,
-    picture: RgbImage,
+    image: RgbImage,
     warnings: Vec<String>,
 }
 
@@ -87,19 +87,21 @@ fn sample() -> Sample {
         metrics,
         ate,
         frames,
-        picture: Image::from_fn(160, 120, |x, y| [byte(x), byte(2 * y), byte(x * y / 16)]),
+        image: Image::from_fn(160, 120, |x, y| [byte(x), byte(2 * y), byte(x * y / 16)]),
         warnings: vec!["2 frames of the recording could not be read <skipped>".to_owned()],
     }
 }
+
+const PROTOCOL: &str = "rigid alignment, nearest time within 0.02 s, raw ground truth";
 
 fn page(sample: &Sample, judged: bool) -> String {
     let strip = |frame| Strip {
         frame,
         t_s: 1.5,
-        input: &sample.picture,
-        render: Some(&sample.picture),
-        labels: Some(&sample.picture),
-        quality: Some(PictureQuality {
+        input: &sample.image,
+        render: Some(&sample.image),
+        labels: Some(&sample.image),
+        quality: Some(ImageQuality {
             psnr_db: 22.84,
             ssim: 0.812,
             pixels: 19_200,
@@ -108,9 +110,12 @@ fn page(sample: &Sample, judged: bool) -> String {
     let unjudged = Metrics::new("0.1.0", "my recording");
     html(&ReportData {
         metrics: if judged { &sample.metrics } else { &unjudged },
-        protocol: "rigid alignment, nearest time within 0.02 s, raw ground truth",
+        protocol: if judged {
+            PROTOCOL
+        } else {
+            "cannot be judged: no ground truth"
+        },
         ate: judged.then_some(&sample.ate),
-        not_judged: "no ground truth",
         frames: &sample.frames,
         strips: &[strip(45), strip(120)],
         warnings: &sample.warnings,
@@ -150,7 +155,7 @@ fn a_whole_page() {
     for expected in [
         "<h1>rgbd_bonn_&lt;crowd&gt; &amp; more</h1>",
         "1 min 23 s",
-        "rigid alignment, nearest time within 0.02 s, raw ground truth",
+        PROTOCOL,
         "91.7 %",
         "2.13 cm/s",
         "124\u{202f}532",
@@ -189,7 +194,6 @@ fn an_empty_page_is_a_page() {
         metrics: &Metrics::new("", ""),
         protocol: "",
         ate: None,
-        not_judged: "",
         frames: &[],
         strips: &[],
         warnings: &[],
@@ -202,16 +206,35 @@ fn an_empty_page_is_a_page() {
 #[test]
 fn broken_parts_become_sentences() {
     let mut sample = sample();
-    sample.picture = Image::new(0, 0, [0; 3]);
+    sample.image = Image::new(0, 0, [0; 3]);
     sample.frames[3].track_ms = Some(f64::NAN);
     let html = page(&sample, true);
     assert_well_formed(&html);
-    assert!(html.contains("No picture: 0 x 0 pixels."), "picture");
+    assert!(html.contains("No image: 0 x 0 pixels."), "image");
     assert!(html.contains("No plot: error 3 is not finite."), "plot");
 }
 
+/// Every text that comes from outside: name, version, protocol, warnings, names of stages, configuration.
 #[test]
 fn text_cannot_become_markup() {
-    let text = escape("a<b>&\"'\u{7}\n");
-    assert_eq!(text, "a&lt;b&gt;&amp;&quot;&#39;\u{fffd}\n", "escaped");
+    const TEXT: &str = "</pre><script>alert('\"&')</script>";
+    let mut sample = sample();
+    sample.metrics.dataset = TEXT.to_owned();
+    sample.metrics.version = TEXT.to_owned();
+    let timing = sample.metrics.timing["orb"];
+    sample.metrics.timing.insert(TEXT.to_owned(), timing);
+    let html = html(&ReportData {
+        metrics: &sample.metrics,
+        protocol: TEXT,
+        ate: Some(&sample.ate),
+        frames: &sample.frames,
+        strips: &[],
+        warnings: &[TEXT.to_owned()],
+        config_toml: TEXT,
+    });
+    assert_well_formed(&html);
+    assert!(!html.contains("<script"), "no markup from text");
+    let escaped = "&lt;/pre&gt;&lt;script&gt;alert('&quot;&amp;')";
+    // The name three times (title, heading, figures in JSON aside), the version twice.
+    assert_eq!(html.matches(escaped).count(), 8, "every text");
 }

@@ -1,4 +1,4 @@
-//! Pictures people look at: renders, depth in colours, keypoints over the input, PNG files.
+//! Images for people: renders, depth in colours, keypoints over the input; and PNG files.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -8,28 +8,29 @@ use garad_core::{Image, RgbImage};
 use garad_raster::Rendered;
 use image::{ColorType, ImageEncoder, codecs::png::PngEncoder};
 
-use crate::runner::{KeypointRole, Snapshot};
+use crate::run::snapshot::{KeypointRole, Snapshot};
 
-/// Static and tracked: blue-green. Moving: vermilion. Colour-blind safe (Okabe & Ito 2008).
+/// Colours of keypoints, distinguishable for colour-blind readers (Okabe & Ito 2008): blue-green, yellow,
+/// vermilion.
 const TRACKED: [u8; 3] = [0, 158, 115];
 const FREE: [u8; 3] = [240, 228, 66];
 const DYNAMIC: [u8; 3] = [213, 94, 0];
 
-/// The colour a renderer computed, as 8-bit.
+/// Rendered colour in 8 bits.
 #[must_use]
-pub fn color_picture(rendered: &Rendered<f32>) -> RgbImage {
+pub fn color_image(rendered: &Rendered<f32>) -> RgbImage {
     rendered.color.map(|c| c.map(to_u8))
 }
 
-/// Opacity as grey.
+/// Rendered opacity as grey.
 #[must_use]
-pub fn opacity_picture(rendered: &Rendered<f32>) -> RgbImage {
+pub fn opacity_image(rendered: &Rendered<f32>) -> RgbImage {
     rendered.opacity.map(|o| [to_u8(*o); 3])
 }
 
-/// Depth from near (warm) to far (cool) over `range_m`; missing is black.
+/// Depth from near (warm) to far (cool) over `range_m`; missing depth is black.
 #[must_use]
-pub fn depth_picture(depth_m: &Image<f32>, range_m: (f32, f32)) -> RgbImage {
+pub fn depth_image(depth_m: &Image<f32>, range_m: (f32, f32)) -> RgbImage {
     let (near, far) = range_m;
     depth_m.map(|&z| {
         if z > 0.0 && z.is_finite() {
@@ -57,12 +58,12 @@ pub fn depth_range(depth_m: &Image<f32>) -> (f32, f32) {
     }
 }
 
-/// Keypoints over the input, moving pixels tinted.
+/// Keypoints over the input, masked pixels tinted.
 #[must_use]
-pub fn keypoint_picture(snapshot: &Snapshot) -> RgbImage {
-    let mut picture = snapshot.rgb.clone();
+pub fn keypoint_image(snapshot: &Snapshot) -> RgbImage {
+    let mut image = snapshot.rgb.clone();
     if let Some(mask) = &snapshot.mask {
-        for (pixel, mask) in picture.data_mut().iter_mut().zip(mask.data()) {
+        for (pixel, mask) in image.data_mut().iter_mut().zip(mask.data()) {
             if *mask == 255 {
                 *pixel = mix(*pixel, DYNAMIC);
             }
@@ -74,76 +75,56 @@ pub fn keypoint_picture(snapshot: &Snapshot) -> RgbImage {
             KeypointRole::Free => FREE,
             KeypointRole::Dynamic => DYNAMIC,
         };
-        square(&mut picture, x, y, color);
+        square(&mut image, x, y, color);
     }
-    picture
+    image
 }
 
 #[allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "keypoints lie inside the picture; float to integer saturates"
+    reason = "keypoints lie inside the image; float to integer saturates"
 )]
-fn square(picture: &mut RgbImage, x: f32, y: f32, color: [u8; 3]) {
+fn square(image: &mut RgbImage, x: f32, y: f32, color: [u8; 3]) {
     const HALF: usize = 2;
     let (x, y) = ((x + 0.5) as usize, (y + 0.5) as usize);
-    let (width, height) = picture.size();
+    let (width, height) = image.size();
     for ny in y.saturating_sub(HALF)..=(y + HALF).min(height - 1) {
         for nx in x.saturating_sub(HALF)..=(x + HALF).min(width - 1) {
             let rim = nx.abs_diff(x) == HALF || ny.abs_diff(y) == HALF;
             if rim {
-                picture[(nx, ny)] = color;
+                image[(nx, ny)] = color;
             }
         }
     }
 }
 
-/// Half as wide and high: means of 2x2 pixels.
-#[must_use]
-pub fn halve(picture: &RgbImage) -> RgbImage {
-    Image::from_fn(picture.width() / 2, picture.height() / 2, |x, y| {
-        let sum = |c: usize| -> u16 {
-            [(0, 0), (1, 0), (0, 1), (1, 1)]
-                .iter()
-                .map(|(dx, dy)| u16::from(picture[(2 * x + dx, 2 * y + dy)][c]))
-                .sum()
-        };
-        [0, 1, 2].map(|c| u8::try_from((sum(c) + 2) / 4).unwrap_or(u8::MAX))
-    })
-}
-
-/// Encodes a colour picture.
+/// Encodes a colour image.
 ///
 /// # Errors
-/// If the encoder refuses it (a picture without pixels).
-pub fn png(picture: &RgbImage) -> Result<Vec<u8>> {
-    encode(
-        picture.size(),
-        picture.data().as_flattened(),
-        ColorType::Rgb8,
-    )
+/// If the encoder refuses it (an image without pixels).
+pub fn png(image: &RgbImage) -> Result<Vec<u8>> {
+    encode(image.size(), image.data().as_flattened(), ColorType::Rgb8)
 }
 
 /// Encodes 8-bit grey.
 ///
 /// # Errors
 /// If the encoder refuses it.
-pub fn png_gray(picture: &Image<u8>) -> Result<Vec<u8>> {
-    encode(picture.size(), picture.data(), ColorType::L8)
+pub fn png_gray(image: &Image<u8>) -> Result<Vec<u8>> {
+    encode(image.size(), image.data(), ColorType::L8)
 }
 
 /// Encodes 16-bit grey.
 ///
 /// # Errors
 /// If the encoder refuses it.
-pub fn png_gray16(picture: &Image<u16>) -> Result<Vec<u8>> {
-    // The encoder takes native-endian bytes and turns them itself.
-    let bytes: Vec<u8> = picture
-        .data()
-        .iter()
+pub fn png_gray16(image: &Image<u16>) -> Result<Vec<u8>> {
+    // The encoder takes native-endian bytes and swaps them itself.
+    let bytes: Vec<u8> = (image.data().iter())
         .flat_map(|v| v.to_ne_bytes())
         .collect();
-    encode(picture.size(), &bytes, ColorType::L16)
+    encode(image.size(), &bytes, ColorType::L16)
 }
 
 fn encode((width, height): (usize, usize), bytes: &[u8], color: ColorType) -> Result<Vec<u8>> {
@@ -155,17 +136,17 @@ fn encode((width, height): (usize, usize), bytes: &[u8], color: ColorType) -> Re
             u32::try_from(height)?,
             color.into(),
         )
-        .context("the picture cannot be encoded as PNG")?;
+        .context("cannot encode the image as PNG")?;
     Ok(out.into_inner())
 }
 
-/// Writes a colour picture as PNG.
+/// Writes a colour image as PNG.
 ///
 /// # Errors
 /// A path that cannot be written.
-pub fn save_png(path: &Path, picture: &RgbImage) -> Result<()> {
-    std::fs::write(path, png(picture)?)
-        .with_context(|| format!("{}: cannot write the picture", path.display()))
+pub fn save_png(path: &Path, image: &RgbImage) -> Result<()> {
+    std::fs::write(path, png(image)?)
+        .with_context(|| format!("{}: cannot write the image", path.display()))
 }
 
 #[allow(
@@ -181,7 +162,7 @@ fn mix(a: [u8; 3], b: [u8; 3]) -> [u8; 3] {
     [0, 1, 2].map(|c| a[c] / 2 + b[c] / 2)
 }
 
-/// Six anchors of a perceptually ordered map, yellow to violet, straight lines between them.
+/// A colour map from yellow to violet, linear between six anchors of perceptually ordered colours.
 fn warm_to_cool(t: f32) -> [u8; 3] {
     const ANCHORS: [[f32; 3]; 6] = [
         [240.0, 249.0, 33.0],
@@ -204,9 +185,9 @@ mod tests {
     #[test]
     fn depth_colours_run_from_warm_to_cool() {
         let depth = Image::from_vec(3, 1, vec![1.0f32, 3.0, 0.0]).expect("3 pixels");
-        let picture = depth_picture(&depth, (1.0, 3.0));
+        let image = depth_image(&depth, (1.0, 3.0));
         assert_eq!(
-            picture.data(),
+            image.data(),
             [[240, 249, 33], [13, 8, 135], [0, 0, 0]],
             "near, far, none"
         );
@@ -214,19 +195,12 @@ mod tests {
     }
 
     #[test]
-    fn png_bytes_decode_to_the_same_picture() {
+    fn png_bytes_decode_to_the_same_image() {
         let gray = Image::from_vec(2, 1, vec![1u16, 65535]).expect("2 pixels");
         let decoded = image::load_from_memory(&png_gray16(&gray).expect("PNG")).expect("reads");
         assert_eq!(decoded.into_luma16().into_raw(), [1, 65535], "16 bit");
         let rgb = Image::from_vec(1, 1, vec![[9u8, 8, 7]]).expect("1 pixel");
         let decoded = image::load_from_memory(&png(&rgb).expect("PNG")).expect("reads");
         assert_eq!(decoded.into_rgb8().into_raw(), [9, 8, 7], "colour");
-    }
-
-    #[test]
-    fn halving_takes_means() {
-        let picture = Image::from_vec(2, 2, vec![[0u8; 3], [2; 3], [4; 3], [8; 3]]);
-        let half = halve(&picture.expect("4 pixels"));
-        assert_eq!(half.data(), [[4; 3]], "(0 + 2 + 4 + 8 + 2) / 4");
     }
 }

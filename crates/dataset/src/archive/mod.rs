@@ -1,16 +1,19 @@
 //! [`Archive`]: a recording inside a .tgz, .tar.gz, .tar or .zip, read in place.
 //!
-//! Nothing is ever unpacked to disk. What kind of archive it is says its content, not its name.
+//! Nothing is unpacked to disk. The kind of archive is recognised by its content, not its name.
 //!
-//! - **.zip**, **.tar**: an index is made; each file is read from the archive when asked for.
+//! - **.zip**, **.tar**: an index is made; each file is read from the archive on demand.
 //! - **.tgz**: gzip has no random access, so the lists and the (still compressed) images are
 //!   kept in memory, about the size of the archive itself.
 //!
-//! Names that climb out (`..`, absolute), links and devices are refused, and so is an archive
-//! that unpacks to more than [`limits::ARCHIVE_BYTES`] or grows like a bomb. Entries that a
-//! recording cannot refer to (no list, no image) are passed over.
+//! Names that lead outside (`..`, absolute), links and devices are refused, and so is an archive that
+//! unpacks to more than [`ARCHIVE_BYTES`](crate::limits::ARCHIVE_BYTES) or by more than
+//! [`ARCHIVE_RATIO`](crate::limits::ARCHIVE_RATIO). Entries that a recording cannot refer to (neither list
+//! nor image) are skipped.
 
+mod entry;
 mod tar_stream;
+mod zip_index;
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -20,9 +23,9 @@ use std::sync::{Mutex, PoisonError};
 
 use zip::ZipArchive;
 
+use self::entry::{Stored, broken, check_ratio};
 use crate::errors::DatasetError;
-use crate::limits;
-use crate::source::{check_file_size, clean_name, read_at_most};
+use crate::files::read_at_most;
 
 /// An archive, indexed.
 #[derive(Debug)]
@@ -32,14 +35,6 @@ pub(crate) struct Archive {
     root: String,
     files: BTreeMap<String, Stored>,
     zip: Option<Mutex<ZipArchive<BufReader<File>>>>,
-}
-
-/// Where the bytes of a file are.
-#[derive(Debug)]
-enum Stored {
-    Memory(Vec<u8>),
-    Tar { offset: u64, bytes: u64 },
-    Zip { index: usize },
 }
 
 impl Archive {
@@ -64,7 +59,7 @@ impl Archive {
         let mut zip = None;
         let files = if magic.starts_with(b"PK\x03\x04") || magic.starts_with(b"PK\x05\x06") {
             let archive = ZipArchive::new(BufReader::new(file)).map_err(|e| broken(path, e))?;
-            let files = index_zip(path, &archive)?;
+            let files = zip_index::index_zip(path, &archive)?;
             zip = Some(Mutex::new(archive));
             files
         } else if magic.starts_with(b"\x1F\x8B") {
@@ -98,12 +93,12 @@ impl Archive {
         stem.unwrap_or(&file).to_owned()
     }
 
-    /// How a file is called in messages.
+    /// The path of a file, for messages.
     pub(crate) fn locate(&self, name: &str) -> PathBuf {
         self.path.join(format!("{}{name}", self.root))
     }
 
-    /// Whether a file lies in a folder of this name, or deeper.
+    /// Whether there is a file in a folder of this name, or below it.
     pub(crate) fn has_folder(&self, name: &str) -> bool {
         let start = format!("{}{name}/", self.root);
         let mut from_there = self.files.range(start.clone()..);
@@ -112,7 +107,7 @@ impl Archive {
             .is_some_and(|(file, _)| file.starts_with(&start))
     }
 
-    /// The bytes of a file; `None` if there is none of that name.
+    /// The bytes of a file; `None` if it does not exist.
     pub(crate) fn read(&self, name: &str) -> Result<Option<Vec<u8>>, DatasetError> {
         match self.files.get(&format!("{}{name}", self.root)) {
             None => Ok(None),
@@ -124,10 +119,11 @@ impl Archive {
                 read_at_most(file.take(bytes), &self.locate(name)).map(Some)
             }
             Some(&Stored::Zip { index }) => {
-                let Some(zip) = &self.zip else {
-                    return Ok(None);
-                };
-                // A panic while reading leaves nothing half-written: the next read seeks anew.
+                let zip = self
+                    .zip
+                    .as_ref()
+                    .expect("zip entries come from a zip archive");
+                // A panic while reading leaves a valid archive: the next read seeks anew.
                 let mut zip = zip.lock().unwrap_or_else(PoisonError::into_inner);
                 let entry = zip.by_index(index).map_err(|e| broken(&self.path, e))?;
                 let packed = entry.compressed_size();
@@ -139,51 +135,7 @@ impl Archive {
     }
 }
 
-fn broken(path: &Path, problem: impl ToString) -> DatasetError {
-    DatasetError::Archive {
-        path: path.to_path_buf(),
-        problem: problem.to_string(),
-    }
-}
-
-fn too_large(path: &Path, what: &'static str, value: u64, limit: u64) -> DatasetError {
-    DatasetError::TooLarge {
-        path: path.to_path_buf(),
-        what,
-        value,
-        limit,
-    }
-}
-
-fn check_ratio(path: &Path, unpacked: u64, packed: u64) -> Result<(), DatasetError> {
-    let ratio = unpacked / packed.max(1);
-    if unpacked > limits::ARCHIVE_RATIO_FROM_BYTES && ratio > limits::ARCHIVE_RATIO {
-        let what = "unpacked bytes per packed byte";
-        return Err(too_large(path, what, ratio, limits::ARCHIVE_RATIO));
-    }
-    Ok(())
-}
-
-/// A safe name for an entry, or the error.
-fn entry_name(path: &Path, raw: &[u8]) -> Result<String, DatasetError> {
-    std::str::from_utf8(raw)
-        .ok()
-        .and_then(clean_name)
-        .ok_or_else(|| DatasetError::UnsafeName {
-            path: path.to_path_buf(),
-            name: String::from_utf8_lossy(raw).into_owned(),
-        })
-}
-
-/// Could a recording refer to it?
-fn is_wanted(name: &str) -> bool {
-    let ending = name.rsplit('.').next().unwrap_or_default();
-    ["txt", "toml", "png", "jpg", "jpeg"]
-        .iter()
-        .any(|wanted| ending.eq_ignore_ascii_case(wanted))
-}
-
-/// The folder with both lists; the one nearest the top counts.
+/// The folder with both lists, nearest to the top.
 fn find_root(path: &Path, files: &BTreeMap<String, Stored>) -> Result<String, DatasetError> {
     let not_a_recording = |found: String| DatasetError::NotARecording {
         path: path.to_path_buf(),
@@ -205,65 +157,4 @@ fn find_root(path: &Path, files: &BTreeMap<String, Stored>) -> Result<String, Da
         )),
         [root, ..] => Ok(root.to_owned()),
     }
-}
-
-fn index_zip(
-    path: &Path,
-    archive: &ZipArchive<BufReader<File>>,
-) -> Result<BTreeMap<String, Stored>, DatasetError> {
-    check_entries(path, archive.len())?;
-    let mut files = BTreeMap::new();
-    let mut total = 0u64;
-    for index in 0..archive.len() {
-        let entry = archive.by_index_data(index).map_err(|e| broken(path, e))?;
-        let name = entry_name(path, entry.name_raw())?;
-        // The upper bits of a Unix mode say what kind of file it is; 0 where there is none.
-        match entry.unix_mode().unwrap_or(0) & 0o170_000 {
-            0 | 0o100_000 | 0o040_000 => {}
-            kind => return Err(special(path, &name, unix_kind(kind))),
-        }
-        if entry.is_dir() || !is_wanted(&name) {
-            continue;
-        }
-        if entry.encrypted() {
-            return Err(special(path, &name, "encrypted file"));
-        }
-        check_file_size(entry.size(), &path.join(&name))?;
-        total = total.saturating_add(entry.size());
-        if total > limits::ARCHIVE_BYTES {
-            return Err(too_large(
-                path,
-                "unpacked size in bytes",
-                total,
-                limits::ARCHIVE_BYTES,
-            ));
-        }
-        files.insert(name, Stored::Zip { index });
-    }
-    Ok(files)
-}
-
-fn unix_kind(mode: u32) -> &'static str {
-    match mode {
-        0o120_000 => "link",
-        0o010_000 => "pipe",
-        0o020_000 | 0o060_000 => "device",
-        _ => "special file",
-    }
-}
-
-fn special(path: &Path, name: &str, kind: &'static str) -> DatasetError {
-    DatasetError::SpecialEntry {
-        path: path.to_path_buf(),
-        name: name.to_owned(),
-        kind,
-    }
-}
-
-fn check_entries(path: &Path, entries: usize) -> Result<(), DatasetError> {
-    if entries > limits::ARCHIVE_ENTRIES {
-        let limit = limits::ARCHIVE_ENTRIES as u64;
-        return Err(too_large(path, "number of entries", entries as u64, limit));
-    }
-    Ok(())
 }
