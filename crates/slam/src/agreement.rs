@@ -12,6 +12,7 @@
 //! they start wide and grow narrow. Links that do not fit the outcome are undone, and eq. 11 is
 //! solved for the rest: depth chooses, keypoints measure (decision 004 says why).
 
+use garad_core::chi_square::CHI2_2DOF_95;
 use garad_core::{KeyframeId, LandmarkId, Se3};
 use garad_optim::dense::{Dense, Problem, Visitor};
 use garad_optim::lm::{Model, minimise};
@@ -20,7 +21,6 @@ use garad_optim::{LmConfig, PoseObservation, RobustKernel};
 use nalgebra::{Matrix1x6, SVector, Vector6};
 
 use crate::frame::Frame;
-use crate::keyframes::CHI2_2D;
 use crate::surface::Surface;
 use crate::system::Slam;
 
@@ -111,7 +111,7 @@ impl Slam {
                 let uv_px = self.camera.project(&p_cam);
                 uv_px.is_some_and(|uv_px| {
                     let error = (uv_px - frame.uv_px[i]) / frame.sigma_px[i];
-                    error.norm_squared() <= CHI2_2D
+                    error.norm_squared() <= CHI2_2DOF_95
                 })
             });
             if !fits {

@@ -10,16 +10,16 @@ use thiserror::Error;
 mod labels;
 mod mapping;
 
-pub use labels::{FlowCheckConfig, FlowEstimatorKind, FlowModelKind, LabelConfig};
+pub use labels::LabelConfig;
 pub use mapping::{DensifyConfig, Optimiser, RateConfig, ScheduleConfig, SeedConfig, TrainConfig};
 
-use labels::crf_default;
+pub use garad_features::flow::FlowConfig;
 
 pub use crate::culling::CullingConfig;
 pub use crate::loop_closing::LoopConfig;
 
 /// The whole configuration; a TOML table per field.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
     /// Keypoints.
@@ -49,32 +49,9 @@ pub struct Config {
     /// What moves, and what that does to features.
     pub labels: LabelConfig,
     /// The conditional random field behind the labels.
-    #[serde(default = "crf_default")]
     pub crf: CrfConfig,
     /// The flow check of suspects.
-    pub flow: FlowCheckConfig,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Self {
-            features: FeatureConfig::default(),
-            tracking: TrackingConfig::default(),
-            surface: SurfaceConfig::default(),
-            keyframes: KeyframeConfig::default(),
-            refine: RefineConfig::default(),
-            local_ba: LocalBaConfig::default(),
-            loops: LoopConfig::default(),
-            culling: CullingConfig::default(),
-            seed: SeedConfig::default(),
-            train: TrainConfig::default(),
-            densify: DensifyConfig::default(),
-            schedule: ScheduleConfig::default(),
-            labels: LabelConfig::default(),
-            crf: crf_default(),
-            flow: FlowCheckConfig::default(),
-        }
-    }
+    pub flow: FlowConfig,
 }
 
 /// Keypoints and the depth they carry.

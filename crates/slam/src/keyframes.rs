@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use garad_core::chi_square::{CHI2_2DOF_95, CHI2_3DOF_95};
 use garad_core::{Camera, KeyframeId, LandmarkId, MaskImage};
 use garad_features::LkPyramid;
 
@@ -14,11 +15,6 @@ use crate::mapper::{MappingJob, NewLandmark};
 use crate::observer::{Observer, Stage};
 use crate::recover::still_descriptors;
 use crate::system::{FrameInput, Slam, SlamError};
-
-/// χ² at 95 % for 2 and 3 degrees of freedom: the gates of every reprojection test.
-pub const CHI2_2D: f64 = 5.991;
-/// See [`CHI2_2D`].
-pub const CHI2_3D: f64 = 7.815;
 
 impl Slam {
     /// Should this frame be kept? ORB-SLAM's RGB-D rules, with mapping always ready (the schedule
@@ -318,9 +314,9 @@ pub(crate) fn fuse_into(
                 match frame.depth_m[k] {
                     Some(depth) => {
                         let disparity = bf / depth - bf / seen.depth_m;
-                        error + disparity * disparity <= CHI2_3D * sigma * sigma
+                        error + disparity * disparity <= CHI2_3DOF_95 * sigma * sigma
                     }
-                    None => error <= CHI2_2D * sigma * sigma,
+                    None => error <= CHI2_2DOF_95 * sigma * sigma,
                 }
             })
             .map(|k| (frame.descriptors[k].distance(&landmark.descriptor), k))

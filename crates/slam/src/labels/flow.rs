@@ -83,7 +83,7 @@ impl Slam {
         let (asked, flows): (Vec<usize>, Vec<FlowPoint>) = (support.len()..asked.len())
             .filter_map(|k| Some((asked[k], flow(k)?)))
             .unzip();
-        let Ok(answer) = verify_flow(&model, &flows, &config.check()) else {
+        let Ok(answer) = verify_flow(&model, &flows, config) else {
             return 0;
         };
         self.tape
