@@ -329,11 +329,11 @@ fn place() {
         let all = descriptors(case.input("descriptors"));
         let mut rest = all.as_slice();
         let lengths = case.input("length").i64();
-        let mut pictures = lengths.iter().map(|&n| {
+        let mut images = lengths.iter().map(|&n| {
             let n = usize::try_from(n).expect("a length");
-            let (picture, after) = rest.split_at(n);
+            let (image, after) = rest.split_at(n);
             rest = after;
-            picture
+            image
         });
         let config = PlaceConfig {
             tables: case.param_usize("tables"),
@@ -345,16 +345,13 @@ fn place() {
             panic!("{}: scores have two axes", case.name());
         };
         let ids: Vec<_> = (0..count(keyframes)).map(KeyframeId).collect();
-        for (&id, picture) in ids.iter().zip(pictures.by_ref().take(keyframes)) {
-            index.add(id, picture);
+        for (&id, image) in ids.iter().zip(images.by_ref().take(keyframes)) {
+            index.add(id, image);
         }
         let (mut scores, mut order) = (Vec::new(), Vec::new());
-        for picture in pictures {
-            scores.extend(
-                ids.iter()
-                    .map(|&id| index.score(id, picture).unwrap_or(-1.0)),
-            );
-            let found = index.query(picture, keyframes, |_| false);
+        for image in images {
+            scores.extend(ids.iter().map(|&id| index.score(id, image).unwrap_or(-1.0)));
+            let found = index.query(image, keyframes, |_| false);
             order.extend(found.iter().map(|candidate| candidate.id.0));
         }
         check(&case, "score", scores);

@@ -1,4 +1,4 @@
-//! F from pairs of which many are wrong.
+//! F from pairs with outliers (RANSAC).
 
 use garad_core::{Par, Rng};
 use nalgebra::{Matrix3, Vector2};
@@ -31,18 +31,18 @@ impl Default for RansacConfig {
     }
 }
 
-/// What [`fundamental_ransac`] found.
+/// Result of [`fundamental_ransac`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct FundamentalEstimate {
     /// ‖F‖ = 1, entry of largest magnitude positive.
     pub fundamental: Matrix3<f64>,
-    /// Which pairs agree with it.
+    /// Per pair: within the threshold.
     pub inliers: Vec<bool>,
     /// Samples drawn.
     pub samples: usize,
 }
 
-/// Samples drawn between two looks at whether they are enough.
+/// Samples drawn between two tests of the stopping rule.
 const BATCH: usize = 64;
 /// Most rounds of refitting to all inliers.
 const REFITS: usize = 10;
@@ -74,14 +74,14 @@ pub fn fundamental_ransac(
 ) -> Result<FundamentalEstimate, FeatureError> {
     check_pairs(uv1, uv2)?;
     config.validate()?;
-    let judge = |fundamental| Hypothesis::new(fundamental, uv1, uv2, config.threshold_px);
+    let evaluate = |fundamental| Hypothesis::new(fundamental, uv1, uv2, config.threshold_px);
     let mut best: Option<Hypothesis> = None;
     let (mut drawn, mut enough) = (0, config.max_samples);
     while drawn < enough {
         let count = BATCH.min(config.max_samples - drawn);
         let batch = par.map(count, |i| {
             let sample = draw(config.seed, drawn + i, uv1.len());
-            eight_point_of(uv1, uv2, &sample).ok().map(judge)
+            eight_point_of(uv1, uv2, &sample).ok().map(evaluate)
         });
         drawn += count;
         for hypothesis in batch.into_iter().flatten() {
@@ -101,7 +101,7 @@ pub fn fundamental_ransac(
         if best.inliers.len() < MIN_PAIRS {
             break;
         }
-        match eight_point_of(uv1, uv2, &best.inliers).map(judge) {
+        match eight_point_of(uv1, uv2, &best.inliers).map(evaluate) {
             Ok(refit) if refit.cost < best.cost => best = refit,
             _ => break,
         }
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn right_pairs_are_told_from_wrong_ones() {
+    fn outliers_are_found() {
         for seed in 0..5 {
             let (n, wrong) = (200, 60);
             let [uv1, uv2] = pairs(n, wrong, 0.3, seed);
@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_settings_and_hopeless_points_are_refused() {
+    fn bad_settings_and_degenerate_points_are_errors() {
         let [uv1, uv2] = pairs(20, 0, 0.0, 3);
         let good = RansacConfig::default();
         for (bad, name) in [

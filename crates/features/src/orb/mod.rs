@@ -1,4 +1,4 @@
-//! ORB: keypoints that are found again at another scale and angle, and 256 bits to know them by.
+//! ORB: keypoints with scale and orientation, and their 256-bit descriptors.
 //!
 //! One frame: [`pyramid`](garad_core::pyramid) of 8 levels → [`detect`] (FAST in cells) →
 //! [`octree`] (spread, the best of each cell) → [`orientation`] → [`blur`] → [`brief`].
@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 use crate::descriptor::Descriptor;
 use crate::error::FeatureError;
 
-/// A point of the picture that can be recognised.
+/// A point of the image that can be matched.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Keypoint {
     /// Column in level-0 pixels, as the sensor sees it (distorted).
@@ -37,9 +37,9 @@ pub struct Keypoint {
 /// Keypoints and their descriptors, one each.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Features {
-    /// Where; ordered by level, then row, then column.
+    /// Ordered by level, then row, then column.
     pub keypoints: Vec<Keypoint>,
-    /// What they look like, in the same order.
+    /// Their descriptors, in the same order.
     pub descriptors: Vec<Descriptor>,
 }
 
@@ -145,7 +145,7 @@ impl OrbExtractor {
         &self.config
     }
 
-    /// From now on, looks for about so many keypoints.
+    /// Sets the number of keypoints wanted from the next image on.
     pub fn look_for(&mut self, features: usize) {
         if features != self.config.features {
             self.config.features = features;
@@ -231,7 +231,7 @@ impl Level {
             self.features.keypoints.push(Keypoint {
                 x: x as f32 * scale,
                 y: y as f32 * scale,
-                level: u8::try_from(level).unwrap_or(u8::MAX),
+                level: u8::try_from(level).expect("at most 255 levels, checked by new"),
                 angle_deg,
                 response: f32::from(corner.score),
             });
@@ -300,7 +300,7 @@ mod tests {
             };
             OrbExtractor::new(config).expect("valid")
         };
-        let expected = [60, 120].map(|n| with(n).extract(&image, Par::Seq).expect("a picture"));
+        let expected = [60, 120].map(|n| with(n).extract(&image, Par::Seq).expect("an image"));
         assert!(
             expected[1].keypoints.len() > expected[0].keypoints.len() + 30,
             "more"
@@ -308,7 +308,7 @@ mod tests {
         let mut changing = with(60);
         for (n, which) in [(120, 1), (60, 0)] {
             changing.look_for(n);
-            let found = changing.extract(&image, Par::Seq).expect("a picture");
+            let found = changing.extract(&image, Par::Seq).expect("an image");
             assert!(found == expected[which], "{n} keypoints");
         }
     }
@@ -405,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_settings_and_empty_pictures_are_named() {
+    fn bad_settings_and_empty_images_are_named() {
         let bad = |config: OrbConfig| match OrbExtractor::new(config) {
             Err(FeatureError::BadSetting { setting, .. }) => setting,
             other => panic!("expected a bad setting, got {other:?}"),
