@@ -49,3 +49,17 @@ pub enum FeatureError {
         reason: &'static str,
     },
 }
+
+/// [`FeatureError::BadSetting`] unless `passes`.
+pub(crate) fn setting(
+    setting: &'static str,
+    value: f64,
+    expected: &'static str,
+    passes: bool,
+) -> Result<(), FeatureError> {
+    passes.then_some(()).ok_or(FeatureError::BadSetting {
+        setting,
+        value,
+        expected,
+    })
+}

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector2};
 
 use super::eight_point::{MIN_PAIRS, check_pairs, eight_point_of};
 use super::sampson_px2;
-use crate::error::FeatureError;
+use crate::error::{FeatureError, setting};
 
 /// Settings of [`fundamental_ransac`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -119,23 +119,11 @@ pub fn fundamental_ransac(
 
 impl RansacConfig {
     fn validate(&self) -> Result<(), FeatureError> {
-        let bad = |setting, value, expected| {
-            Err(FeatureError::BadSetting {
-                setting,
-                value,
-                expected,
-            })
-        };
-        if !(self.threshold_px > 0.0 && self.threshold_px.is_finite()) {
-            return bad("threshold_px", self.threshold_px, "a positive number");
-        }
-        if !(self.confidence > 0.0 && self.confidence < 1.0) {
-            return bad("confidence", self.confidence, "between 0 and 1");
-        }
-        if self.max_samples == 0 {
-            return bad("max_samples", 0.0, "at least 1");
-        }
-        Ok(())
+        let (px, p) = (self.threshold_px, self.confidence);
+        let valid = px > 0.0 && px.is_finite();
+        setting("threshold_px", px, "a positive number", valid)?;
+        setting("confidence", p, "between 0 and 1", p > 0.0 && p < 1.0)?;
+        setting("max_samples", 0.0, "at least 1", self.max_samples > 0)
     }
 }
 
@@ -271,36 +259,16 @@ mod tests {
     fn bad_settings_and_degenerate_points_are_errors() {
         let [uv1, uv2] = pairs(20, 0, 0.0, 3);
         let good = RansacConfig::default();
-        for (bad, name) in [
-            (
-                RansacConfig {
-                    threshold_px: 0.0,
-                    ..good
-                },
-                "threshold_px",
-            ),
-            (
-                RansacConfig {
-                    threshold_px: f64::NAN,
-                    ..good
-                },
-                "threshold_px",
-            ),
-            (
-                RansacConfig {
-                    confidence: 1.0,
-                    ..good
-                },
-                "confidence",
-            ),
-            (
-                RansacConfig {
-                    max_samples: 0,
-                    ..good
-                },
-                "max_samples",
-            ),
-        ] {
+        type Break = fn(&mut RansacConfig);
+        let breaks: [(&str, Break); 4] = [
+            ("threshold_px", |c| c.threshold_px = 0.0),
+            ("threshold_px", |c| c.threshold_px = f64::NAN),
+            ("confidence", |c| c.confidence = 1.0),
+            ("max_samples", |c| c.max_samples = 0),
+        ];
+        for (name, spoil) in breaks {
+            let mut bad = good;
+            spoil(&mut bad);
             match fundamental_ransac(&uv1, &uv2, &bad, Par::Seq) {
                 Err(FeatureError::BadSetting { setting, .. }) => assert_eq!(setting, name),
                 other => panic!("{name}: {other:?}"),

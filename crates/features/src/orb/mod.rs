@@ -17,7 +17,7 @@ use garad_core::{GrayImage, Image, Par};
 use serde::{Deserialize, Serialize};
 
 use crate::descriptor::Descriptor;
-use crate::error::FeatureError;
+use crate::error::{FeatureError, setting};
 
 /// A point of the image that can be matched.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -111,26 +111,15 @@ impl OrbExtractor {
     /// [`FeatureError::BadSetting`]: no levels or more than 255, a scale that is not above 1, a
     /// cell or threshold of 0, or `min_threshold` above `threshold`.
     pub fn new(config: OrbConfig) -> Result<Self, FeatureError> {
-        let bad = |setting, value, expected| {
-            Err(FeatureError::BadSetting {
-                setting,
-                value,
-                expected,
-            })
-        };
-        if !(1..=255).contains(&config.levels) {
-            return bad("levels", config.levels as f64, "1 to 255");
-        }
-        if !(config.scale > 1.0 && config.scale.is_finite()) {
-            return bad("scale", f64::from(config.scale), "a finite number above 1");
-        }
-        if config.cell_px == 0 {
-            return bad("cell_px", 0.0, "at least 1");
-        }
-        if config.min_threshold == 0 || config.min_threshold > config.threshold {
-            let expected = "at least 1 and at most threshold";
-            return bad("min_threshold", f64::from(config.min_threshold), expected);
-        }
+        let (levels, scale, least) = (config.levels, config.scale, config.min_threshold);
+        let valid = (1..=255).contains(&levels);
+        setting("levels", levels as f64, "1 to 255", valid)?;
+        let valid = scale > 1.0 && scale.is_finite();
+        setting("scale", f64::from(scale), "a finite number above 1", valid)?;
+        setting("cell_px", 0.0, "at least 1", config.cell_px > 0)?;
+        let expected = "at least 1 and at most threshold";
+        let valid = (1..=config.threshold).contains(&least);
+        setting("min_threshold", f64::from(least), expected, valid)?;
         Ok(Self {
             config,
             scales: level_scales(config.scale, config.levels),
@@ -406,42 +395,25 @@ mod tests {
 
     #[test]
     fn bad_settings_and_empty_images_are_named() {
-        let bad = |config: OrbConfig| match OrbExtractor::new(config) {
-            Err(FeatureError::BadSetting { setting, .. }) => setting,
-            other => panic!("expected a bad setting, got {other:?}"),
-        };
         let good = OrbConfig::default();
-        assert_eq!(bad(OrbConfig { levels: 0, ..good }), "levels");
-        assert_eq!(
-            bad(OrbConfig {
-                levels: 256,
-                ..good
-            }),
-            "levels"
-        );
-        assert_eq!(bad(OrbConfig { scale: 1.0, ..good }), "scale");
-        assert_eq!(
-            bad(OrbConfig {
-                scale: f32::NAN,
-                ..good
-            }),
-            "scale"
-        );
-        assert_eq!(bad(OrbConfig { cell_px: 0, ..good }), "cell_px");
-        assert_eq!(
-            bad(OrbConfig {
-                min_threshold: 0,
-                ..good
-            }),
-            "min_threshold"
-        );
-        assert_eq!(
-            bad(OrbConfig {
-                min_threshold: 21,
-                ..good
-            }),
-            "min_threshold"
-        );
+        type Break = fn(&mut OrbConfig);
+        let breaks: [(&str, Break); 7] = [
+            ("levels", |c| c.levels = 0),
+            ("levels", |c| c.levels = 256),
+            ("scale", |c| c.scale = 1.0),
+            ("scale", |c| c.scale = f32::NAN),
+            ("cell_px", |c| c.cell_px = 0),
+            ("min_threshold", |c| c.min_threshold = 0),
+            ("min_threshold", |c| c.min_threshold = 21),
+        ];
+        for (name, spoil) in breaks {
+            let mut config = good;
+            spoil(&mut config);
+            match OrbExtractor::new(config) {
+                Err(FeatureError::BadSetting { setting, .. }) => assert_eq!(setting, name),
+                other => panic!("{name}: {other:?}"),
+            }
+        }
         let mut orb = OrbExtractor::new(good).expect("valid");
         let empty = orb.extract(&GrayImage::default(), Par::Seq);
         assert_eq!(

@@ -42,7 +42,7 @@ use garad_core::{KeyframeId, Rng};
 use serde::{Deserialize, Serialize};
 
 use crate::descriptor::Descriptor;
-use crate::error::FeatureError;
+use crate::error::{FeatureError, setting};
 
 /// Settings of a [`PlaceIndex`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -123,21 +123,13 @@ impl PlaceIndex {
     /// # Errors
     /// [`FeatureError::BadSetting`]: no table, no bits or more than 16, or more than 256 bits in all.
     pub fn new(config: PlaceConfig, seed: u64) -> Result<Self, FeatureError> {
-        let bad = |setting, value: usize, expected| {
-            Err(FeatureError::BadSetting {
-                setting,
-                value: value as f64,
-                expected,
-            })
-        };
         let PlaceConfig { tables, bits } = config;
-        if !(1..=MAX_BITS).contains(&bits) {
-            return bad("bits", bits, "1 to 16");
-        }
+        let valid = (1..=MAX_BITS).contains(&bits);
+        setting("bits", bits as f64, "1 to 16", valid)?;
         let all = Descriptor::BITS as usize;
-        if !(1..=all / bits).contains(&tables) {
-            return bad("tables", tables, "at least 1, with tables x bits up to 256");
-        }
+        let expected = "at least 1, with tables x bits up to 256";
+        let valid = (1..=all / bits).contains(&tables);
+        setting("tables", tables as f64, expected, valid)?;
         // The bits of a descriptor in random order (Fisher-Yates), dealt to the tables.
         let mut order: Vec<usize> = (0..all).collect();
         let mut rng = Rng::new(seed);
