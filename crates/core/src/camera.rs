@@ -27,9 +27,9 @@ pub struct Distortion {
 /// A calibrated camera.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
-    /// Columns of the picture.
+    /// Columns of the image.
     pub width: usize,
-    /// Rows of the picture.
+    /// Rows of the image.
     pub height: usize,
     /// Focal length, pixels.
     pub fx: f64,
@@ -91,7 +91,7 @@ impl Camera {
     /// Checks every number once, where a calibration enters.
     ///
     /// # Errors
-    /// [`CameraError`] naming the first number that cannot be.
+    /// [`CameraError`] with the first invalid number.
     pub fn validate(&self) -> Result<(), CameraError> {
         let d = &self.distortion;
         let fields = [
@@ -124,7 +124,7 @@ impl Camera {
         Ok(())
     }
 
-    /// The same camera for a picture `level` times halved by decimation at even pixels:
+    /// The same camera for an image `level` times halved by decimation at even pixels:
     /// f / 2ˡ, c / 2ˡ, sizes rounded up. Distortion coefficients act on normalised coordinates
     /// and stay.
     #[must_use]
@@ -177,7 +177,7 @@ impl Camera {
         )
     }
 
-    /// Inside the picture, [-0.5, W-0.5] x [-0.5, H-0.5].
+    /// Inside the image, [-0.5, W-0.5] x [-0.5, H-0.5].
     #[inline]
     #[must_use]
     pub fn contains(&self, uv_px: &Vector2<f64>) -> bool {
@@ -187,7 +187,7 @@ impl Camera {
             && uv_px.y < self.height as f64 - 0.5
     }
 
-    /// Where the sensor sees what a pinhole would see at `ideal`.
+    /// The distorted pixel of an ideal one.
     #[must_use]
     pub fn distort_pixel(&self, ideal: &Vector2<f64>) -> Vector2<f64> {
         self.denormalise(&self.distortion.distort(&self.normalise(ideal)))
@@ -318,7 +318,7 @@ mod tests {
     #[test]
     fn first_pixel_centre_is_zero() {
         let camera = Camera::pinhole((4, 2), [2.0, 2.0, 1.5, 0.5]).expect("valid");
-        // The optical axis meets the picture half-way between the middle pixels.
+        // The optical axis meets the image half-way between the middle pixels.
         assert_eq!(
             camera.project(&Vector3::z()),
             Some(Vector2::new(1.5, 0.5)),
@@ -383,7 +383,7 @@ mod tests {
         assert_eq!(
             fold.undistort(&Vector2::new(4.8, 0.0)),
             None,
-            "far beyond it, where the picture is mirrored"
+            "far beyond it, where the image is mirrored"
         );
         assert!(
             fold.undistort(&Vector2::new(0.3, 0.0)).is_some(),
@@ -395,7 +395,7 @@ mod tests {
         #[test]
         fn undistort_undoes_distort(u in 0.0f64..640.0, v in 0.0f64..480.0) {
             let camera = freiburg1();
-            let ideal = camera.undistort_pixel(&Vector2::new(u, v)).expect("inside the picture");
+            let ideal = camera.undistort_pixel(&Vector2::new(u, v)).expect("inside the image");
             let back = camera.distort_pixel(&ideal);
             prop_assert!((back - Vector2::new(u, v)).norm() < 1e-9, "{back}");
         }

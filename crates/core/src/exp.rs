@@ -1,11 +1,11 @@
 //! [`exp_nonpositive`]: eˣ for x ≤ 0 in f32, without branches, so that loops over it vectorise.
 //!
 //! `libm::expf` decides by the size of x how to reduce it, which costs 10 to 15 ns per call where
-//! a picture needs ten million of them. For x ≤ 0 one reduction serves all.
+//! an image needs ten million of them. For x ≤ 0 one reduction serves all.
 
 /// Below this the answer is 0: e⁻⁸⁷ = 1.6e-38 is the last whole unit above the subnormals.
 const SMALLEST: f32 = -87.0;
-/// Added and taken away again, it rounds a number below 2²² to the nearest integer.
+/// Added and subtracted again, it rounds a number below 2²² to the nearest integer.
 const ROUND: f32 = 12_582_912.0; // 1.5 · 2²³
 /// ln 2 = `LN2_HIGH` + `LN2_LOW`; the first has 15 bits, so that its product with |n| < 128 is exact.
 const LN2_HIGH: f32 = 0.693_145_75;

@@ -16,8 +16,8 @@ use crate::sh::coefficients;
 /// | `opacity_logits` | | sigmoid |
 /// | `sh` | [`GaussianMap::coefficients`] triples (r, g, b) per Gaussian | `sh::color` |
 ///
-/// and what SLAM needs to know about each: the landmark it is tagged with, its parent, the
-/// keyframe it was born in, and its label.
+/// and per Gaussian the landmark it is tagged with, its parent, the keyframe that made it, and its
+/// label.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GaussianMap<T = f32> {
     sh_degree: usize,
@@ -37,7 +37,7 @@ pub struct GaussianMap<T = f32> {
     pub parent: Vec<Option<u32>>,
     /// The keyframe that made it.
     pub born: Vec<KeyframeId>,
-    /// Does it move?
+    /// Static or dynamic.
     pub label: Vec<Label>,
 }
 
@@ -164,8 +164,8 @@ impl<T: Real> GaussianMap<T> {
         self.sh_degree = degree;
     }
 
-    /// Keeps the Gaussians that `keep` names, in their order. Parents are rows of before and are
-    /// forgotten.
+    /// Keeps the Gaussians that `keep` names, in their order. Parents are rows of the old map and
+    /// are dropped.
     pub fn retain(&mut self, keep: impl Fn(usize) -> bool) {
         let kept: Vec<usize> = (0..self.len()).filter(|&i| keep(i)).collect();
         let k = self.coefficients();
@@ -183,11 +183,11 @@ impl<T: Real> GaussianMap<T> {
         self.label = kept.iter().map(|&i| self.label[i]).collect();
     }
 
-    /// Every array has `len()` rows and every number is finite; what stages check in debug
-    /// builds. The answer names the first offence.
+    /// Every array has `len()` rows and every number is finite; stages check this in debug
+    /// builds.
     ///
     /// # Errors
-    /// A sentence naming array and row.
+    /// A sentence with array and row of the first violation.
     pub fn validate(&self) -> Result<(), String> {
         let n = self.len();
         let lengths = [

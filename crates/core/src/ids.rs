@@ -44,13 +44,13 @@ id!(
     "l"
 );
 
-/// Does it move? The paper's L: 0 static, 1 dynamic.
+/// The paper's L: 0 static, 1 dynamic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[repr(u8)]
 pub enum Label {
-    /// Part of the room.
+    /// Does not move.
     #[default]
     Static = 0,
-    /// Moves, or did until a moment ago.
+    /// Moves, or moved recently.
     Dynamic = 1,
 }

@@ -4,7 +4,7 @@
 
 use serde::{Deserialize, Deserializer, Serialize, de};
 
-/// A row-major picture of `width * height` pixels of type `T`.
+/// A row-major image of `width * height` pixels of type `T`.
 ///
 /// # Example
 /// ```
@@ -21,7 +21,7 @@ pub struct Image<T> {
 }
 
 impl<'de, T: Deserialize<'de>> Deserialize<'de> for Image<T> {
-    /// A picture whose number of pixels is not its width times its height is refused.
+    /// An image whose number of pixels is not its width times its height is refused.
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         #[derive(Deserialize)]
         struct Parts<T> {
@@ -37,7 +37,7 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for Image<T> {
         if width.checked_mul(height) != Some(data.len()) {
             let pixels = data.len();
             return Err(de::Error::custom(format_args!(
-                "{pixels} pixels for a picture of {width} x {height}"
+                "{pixels} pixels for an image of {width} x {height}"
             )));
         }
         Ok(Self {
@@ -58,7 +58,7 @@ pub type DepthImage = Image<f32>;
 pub type MaskImage = Image<u8>;
 
 impl<T: Clone> Image<T> {
-    /// A picture filled with one value.
+    /// An image filled with one value.
     #[must_use]
     pub fn new(width: usize, height: usize, value: T) -> Self {
         Self {
@@ -146,7 +146,7 @@ impl<T> Image<T> {
     pub fn get(&self, x: usize, y: usize) -> Option<&T> {
         (x < self.width && y < self.height).then(|| &self.data[y * self.width + x])
     }
-    /// A picture of the same size, each pixel through `f`.
+    /// An image of the same size, each pixel through `f`.
     #[must_use]
     pub fn map<U>(&self, f: impl FnMut(&T) -> U) -> Image<U> {
         Image {

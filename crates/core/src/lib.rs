@@ -1,6 +1,6 @@
 //! Numbers, poses, cameras, images, pyramids, Gaussian maps and deterministic parallelism.
 //!
-//! Everything above this crate shares these types, and this crate knows of nothing above it.
+//! The types that all other crates share; this crate depends on none of them.
 //! Reading order: [`real`] (where every transcendental function comes from) → [`so3`], [`se3`]
 //! (poses) → [`camera`] (projection, distortion) → [`image`], [`undistort`], [`pyramid`] → [`gaussian`], [`sh`],
 //! [`sh_rotation`] (the map) → [`par`] (threads that never change a result). [`chi_square`] holds the

@@ -2,8 +2,7 @@
 //!
 //! Work is cut into pieces whose size does not depend on the number of threads; the pieces'
 //! results come back in index order and are combined by the caller in that order. A float sum
-//! therefore has one order of additions, whatever runs it. This is the only place that knows
-//! `rayon`.
+//! therefore has one order of additions, whatever runs it. This is the only use of `rayon`.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -102,7 +101,7 @@ impl Par {
         }
     }
 
-    /// Both answers, computed side by side when there is a second thread.
+    /// Both results, computed in parallel when there is a second thread.
     pub fn join<A: Send, B: Send>(
         self,
         a: impl FnOnce() -> A + Send,
@@ -114,8 +113,8 @@ impl Par {
         }
     }
 
-    /// The pool of this size, made once. `None` means: stay on this thread. A pool that the
-    /// system refuses to start also means that; the answer is the same, only later.
+    /// The pool of this size, made once. `None`: run on this thread, also where the system cannot
+    /// start a pool; the result is the same.
     fn pool(self) -> Option<Arc<rayon::ThreadPool>> {
         static POOLS: OnceLock<Mutex<BTreeMap<usize, Arc<rayon::ThreadPool>>>> = OnceLock::new();
         let threads = self.threads();

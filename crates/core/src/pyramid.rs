@@ -1,18 +1,18 @@
 //! Both pyramids of the system: halving for training and flow, a factor of 1.2 for ORB.
 //!
 //! * Halving: smooth with [1 4 6 4 1]/16 along both axes, keep every second sample. Pixel (x, y)
-//!   of the half picture lies exactly on pixel (2x, 2y), so f and c halve ([`crate::Camera::level`]).
+//!   of the half image lies exactly on pixel (2x, 2y), so f and c halve ([`crate::Camera::level`]).
 //!   [`halve`] is the 8-bit form with one rounding (the bits of OpenCV's `pyrDown`),
-//!   [`halve_real`] the same filter on numbers, for the training pictures of eq. 16.
+//!   [`halve_real`] the same filter on numbers, for the training images of eq. 16.
 //! * ORB: each level is the one before it, resized bilinearly in 11-bit integers
 //!   ([`resize_linear`], the bits of OpenCV's `INTER_LINEAR`).
 //!
-//! Both are integer arithmetic on 8-bit pictures: one answer everywhere.
+//! Both are integer arithmetic on 8-bit images: one answer everywhere.
 
 use crate::image::{GrayImage, Image};
 use crate::real::Real;
 
-/// A picture at several sizes, the largest first.
+/// An image at several sizes, the largest first.
 ///
 /// # Example
 /// ```
@@ -28,7 +28,7 @@ pub struct GrayPyramid {
 }
 
 impl GrayPyramid {
-    /// The picture and `above` levels, each [`halve`] of the one before.
+    /// The image and `above` levels, each [`halve`] of the one before.
     #[must_use]
     pub fn halved(image: GrayImage, above: usize) -> Self {
         let mut levels = vec![image];
@@ -78,7 +78,7 @@ pub fn reflect_101(mut i: isize, n: usize) -> usize {
     if last <= 0 {
         return 0;
     }
-    // A window may be wider than the picture: mirror until the index falls inside.
+    // A window may be wider than the image: mirror until the index falls inside.
     while i < 0 || i > last {
         i = if i < 0 { -i } else { 2 * last - i };
     }
@@ -134,7 +134,7 @@ pub fn halve(image: &GrayImage) -> GrayImage {
     out
 }
 
-/// [`halve`] for pictures of numbers, channel by channel, without rounding to integers.
+/// [`halve`] for images of numbers, channel by channel, without rounding to integers.
 ///
 /// Both passes add as ((a + e) + 4 (b + d)) + 6 c over the taps a..e; the sum is scaled by 1/256
 /// once at the end. One level of the pyramid GP of eq. 16.
@@ -186,7 +186,7 @@ pub fn level_scales(factor: f32, count: usize) -> Vec<f32> {
 #[allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "a positive number no larger than the picture's size"
+    reason = "a positive number no larger than the image's size"
 )]
 pub fn level_sizes(
     (width, height): (usize, usize),
@@ -213,7 +213,7 @@ struct LinearTap {
 /// f64 rounded to f32; weights are rounded to 1/2048 half to even.
 #[allow(
     clippy::cast_possible_truncation,
-    reason = "coordinates stay inside the picture, weights inside 0..=2048"
+    reason = "coordinates stay inside the image, weights inside 0..=2048"
 )]
 fn linear_taps(from: usize, to: usize) -> Vec<LinearTap> {
     let scale = 1.0 / (to as f64 / from as f64);
@@ -248,7 +248,7 @@ pub fn resize_linear(image: &GrayImage, size: (usize, usize)) -> GrayImage {
     out
 }
 
-/// [`resize_linear`] into a picture whose memory is used again if the size fits.
+/// [`resize_linear`] into an image whose memory is used again if the size fits.
 pub fn resize_linear_into(image: &GrayImage, (width, height): (usize, usize), out: &mut GrayImage) {
     if out.size() != (width, height) {
         *out = GrayImage::new(width, height, 0);
@@ -403,7 +403,7 @@ mod tests {
         fn halve_is_its_formula(w in 1usize..40, h in 1usize..40, seed: u64) {
             let image = noise(w, h, seed);
             prop_assert_eq!(halve(&image), spec_halve(&image));
-            // The form on numbers rounds to the same picture: all its sums are exact in f64.
+            // The form on numbers rounds to the same image: all its sums are exact in f64.
             let real = halve_real(&image.map(|&v| [f64::from(v)]));
             for (&byte, &[value]) in halve(&image).data().iter().zip(real.data()) {
                 let rounded = (value + 0.5).floor();
@@ -422,7 +422,7 @@ mod tests {
                 prop_assert!(v.abs_diff(grey) <= 1, "{v} from a constant {grey}");
             }
             let image = noise(w, h, seed);
-            prop_assert_eq!(&resize_linear(&image, (w, h)), &image, "same size, same picture");
+            prop_assert_eq!(&resize_linear(&image, (w, h)), &image, "same size, same image");
         }
     }
 
@@ -451,7 +451,7 @@ mod tests {
     }
 
     #[test]
-    fn the_smallest_pictures_survive() {
+    fn the_smallest_images_survive() {
         assert_eq!(halve(&GrayImage::new(1, 1, 9)), GrayImage::new(1, 1, 9));
         assert_eq!(halve(&GrayImage::default()).size(), (0, 0), "empty");
         let one = resize_linear(&GrayImage::new(1, 1, 9), (3, 2));

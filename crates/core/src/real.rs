@@ -1,4 +1,4 @@
-//! [`Real`]: the one door through which transcendental functions enter.
+//! [`Real`]: the source of all transcendental functions.
 //!
 //! `std`'s `exp`, `sin`, ... call the platform's C library, whose bits change with the processor
 //! (glibc picks an FMA variant at run time) and with the target (wasm differs again). `libm` is
@@ -14,7 +14,7 @@ mod sealed {
     impl Sealed for f64 {}
 }
 
-/// A real number: `f32` (what a GPU is compared with) or `f64` (what proves gradients).
+/// A real number: `f32` (compared with a GPU) or `f64` (gradient checks).
 ///
 /// The trait is sealed: code that is generic over it is generic over these two and nothing else.
 pub trait Real:
@@ -67,7 +67,7 @@ pub trait Real:
     fn is_finite(self) -> bool;
     /// eˣ.
     fn exp(self) -> Self;
-    /// eˣ for x ≤ 0 where it is needed by the million: [`crate::exp::exp_nonpositive`] for f32,
+    /// eˣ for x ≤ 0 in inner loops: [`crate::exp::exp_nonpositive`] for f32,
     /// plain [`Real::exp`] for f64.
     fn exp_nonpositive(self) -> Self;
     /// Natural logarithm.
@@ -202,7 +202,7 @@ impl_real!(
 mod tests {
     use super::Real;
 
-    /// The formula as written, for both widths, so that a slip in the macro's argument order shows.
+    /// The formula as written, for both widths, so that a wrong argument order in the macro shows.
     fn spec<T: Real>(tolerance: f64) {
         let near = |a: T, b: f64| assert!((a.to_f64() - b).abs() <= tolerance, "{a} against {b}");
         near(T::from_f64(1.0).exp(), std::f64::consts::E);

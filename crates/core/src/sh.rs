@@ -80,8 +80,8 @@ pub fn basis<T: Real>(degree: usize, [x, y, z]: [T; 3]) -> [T; MAX_COEFFICIENTS]
 
 /// ∂[`basis`]ₖ/∂(x, y, z), of the polynomials as they are written there.
 ///
-/// Only the part across `direction` means anything: along it the polynomials leave the unit
-/// sphere, and a caller who normalises a vector first projects that part out.
+/// Only the part orthogonal to `direction` is meaningful: along it the polynomials leave the unit
+/// sphere, and the derivative of normalising a vector projects that part out.
 ///
 /// Spec test: `gradient_is_the_slope_of_the_basis`.
 #[must_use]
@@ -134,7 +134,7 @@ pub fn color<T: Real>(degree: usize, sh: &[[T; 3]], direction: [T; 3]) -> [T; 3]
     rgb.map(|v| v.max(T::ZERO))
 }
 
-/// The constant coefficient that shows `value` in [0, 1] from everywhere.
+/// The constant coefficient of the colour `value` in [0, 1] in every direction.
 #[inline]
 #[must_use]
 pub fn dc_from_color<T: Real>(value: T) -> T {

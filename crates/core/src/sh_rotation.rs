@@ -1,13 +1,13 @@
-//! [`ShRotation`]: spherical harmonics that turn with what they colour.
+//! [`ShRotation`]: rotation of spherical harmonics.
 //!
-//! When a Gaussian is turned by R, what was seen from direction d is to be seen from R d. A turned
+//! When a Gaussian is turned by R, its colour from direction d moves to direction R d. A turned
 //! harmonic of degree l is a sum of harmonics of the same degree, so there is one matrix per degree:
 //!
 //! f'(d) = f(R⁻¹ d),   f' = M_l f,   M_l = Y_l(D)⁻¹ Y_l(R⁻¹ D)                              (E21)
 //!
 //! with Y_l(D) the 2l + 1 functions of the degree (columns) in 2l + 1 directions D (rows). Two
 //! polynomials of a degree that agree in enough directions agree everywhere; the directions are chosen so
-//! that the condition of Y_l(D) is below 3.1, and nothing is lost by the inverse.
+//! that the condition of Y_l(D) is below 3.1, and the inverse loses no digits.
 //!
 //! *Alternative.* Ivanic and Ruedenberg 1996: M_l from M_{l-1} by a recursion. No table of directions, and
 //! a page of coefficients instead.
@@ -31,7 +31,7 @@ const DIRECTIONS: [[f64; 3]; 7] = [
     [0.0, 1.0, 1.0],
 ];
 
-/// What a rotation does to the coefficients of degrees 1, 2 and 3.
+/// The matrices of a rotation for the coefficients of degrees 1, 2 and 3.
 ///
 /// # Example
 /// A lobe along x, turned by 90° about z, is a lobe along y:

@@ -1,4 +1,4 @@
-//! [`StampedPose`]: where the camera was, and when.
+//! [`StampedPose`]: a camera pose with its time.
 
 use crate::Se3;
 

@@ -1,13 +1,13 @@
-//! [`Undistortion`]: pictures of a bent lens, as a pinhole would have taken them.
+//! [`Undistortion`]: images without their lens distortion, as of a pinhole camera.
 
 use nalgebra::Vector2;
 
 use crate::{Camera, Image, MaskImage, Par, RgbImage};
 
-/// For every pixel of the pinhole's picture, where the lens put it. Made once per camera.
+/// For every pixel of the pinhole's image, its distorted pixel. Made once per camera.
 ///
-/// The ideal picture has the size and the intrinsics of the recorded one; a pixel that the lens
-/// bent out of the recorded picture was not seen.
+/// The ideal image has the size and the intrinsics of the recorded one; a pixel that
+/// distortion moves out of the recorded image is missing.
 ///
 /// # Example
 /// A lens without distortion changes nothing but the type:
@@ -29,7 +29,7 @@ pub struct Undistortion {
 /// The recorded pixel above and left of a place, and how far the place lies beyond it.
 #[derive(Debug, Clone, Copy)]
 struct Tap {
-    /// Index of the pixel; [`UNSEEN`] outside the picture.
+    /// Index of the pixel; [`UNSEEN`] outside the image.
     index: u32,
     weight: [f32; 2],
 }
@@ -37,7 +37,7 @@ struct Tap {
 const UNSEEN: u32 = u32::MAX;
 
 impl Undistortion {
-    /// Of this camera's pictures.
+    /// Of this camera's images.
     #[must_use]
     pub fn new(camera: &Camera) -> Self {
         let (width, height) = (camera.width, camera.height);
@@ -56,9 +56,9 @@ impl Undistortion {
         }
     }
 
-    /// The pinhole's picture, in [0, 1], bilinear; 0 where nothing was seen.
+    /// The pinhole's image, in [0, 1], bilinear; 0 where nothing was seen.
     ///
-    /// `rgb` has the camera's size; pixels of another size's picture are taken at its rim.
+    /// `rgb` has the camera's size; pixels of another size's image are taken at its rim.
     #[must_use]
     pub fn color(&self, rgb: &RgbImage, par: Par) -> Image<[f32; 3]> {
         let (width, height) = self.size;
@@ -78,7 +78,7 @@ impl Undistortion {
         out
     }
 
-    /// Another picture of the recording (depth, a mask), straightened by taking the nearest pixel;
+    /// Another image of the recording (depth, a mask), straightened by taking the nearest pixel;
     /// `unseen` where the lens saw nothing.
     #[must_use]
     pub fn nearest<T: Copy>(&self, recorded: &Image<T>, unseen: T) -> Image<T> {
@@ -111,7 +111,7 @@ impl Undistortion {
 #[allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "inside the picture by the test before; weights in [0, 1)"
+    reason = "inside the image by the test before; weights in [0, 1)"
 )]
 fn tap(at: &Vector2<f64>, (width, height): (usize, usize)) -> Tap {
     let inside =
@@ -149,9 +149,9 @@ fn unit(v: u8) -> f32 {
 mod tests {
     use super::*;
 
-    /// A picture whose red is the column: undistorted, a pixel holds the column it was seen at.
+    /// An image whose red is the column: undistorted, a pixel holds the column it was seen at.
     #[test]
-    fn a_bent_picture_is_straightened() {
+    fn distortion_is_removed() {
         let mut camera = Camera::pinhole((32, 24), [30.0, 30.0, 15.5, 11.5]).expect("valid");
         camera.distortion.k1 = 0.2;
         let rgb = RgbImage::from_fn(32, 24, |x, _| [u8::try_from(8 * x).expect("small"); 3]);
@@ -165,7 +165,7 @@ mod tests {
             "{found} against {expected}"
         );
         let corner = color[(0, 0)].map(f32::to_bits);
-        assert_eq!(corner, [0; 3], "bent out of the picture");
+        assert_eq!(corner, [0; 3], "moved out of the image");
         let unseen = straight.unseen();
         assert_eq!((unseen[(0, 0)], unseen[(20, 6)]), (255, 0), "and said so");
         let columns = Image::from_fn(32, 24, |x, _| x);

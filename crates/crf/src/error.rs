@@ -48,20 +48,16 @@ pub enum CrfError {
     },
 }
 
-/// `value` if it passes, or an error with the name of the setting.
+/// [`CrfError::BadSetting`] unless `passes`.
 pub(crate) fn setting(
     setting: &'static str,
     value: f64,
     expected: &'static str,
     passes: bool,
 ) -> Result<(), CrfError> {
-    if passes {
-        Ok(())
-    } else {
-        Err(CrfError::BadSetting {
-            setting,
-            value,
-            expected,
-        })
-    }
+    passes.then_some(()).ok_or(CrfError::BadSetting {
+        setting,
+        value,
+        expected,
+    })
 }

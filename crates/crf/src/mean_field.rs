@@ -1,6 +1,6 @@
 //! Mean field: the belief of every node, updated in parallel.
 //!
-//! Eq. 1 gives every labelling X an energy, and with it a probability exp(-E(X)) / Z. The probability
+//! The energy of eq. 1 gives every labelling X a probability exp(-E(X)) / Z. The probability
 //! that node i is dynamic is a sum over 2^N labellings. Mean field approximates this distribution by the
 //! closest one in which nodes are independent, with P(xᵢ = dynamic) = qᵢ (C3 in docs/math_crf.md).
 //!

@@ -6,7 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Eq. 2: on which side of its mean a cue's value is evidence against being static.
+/// Side of its mean on which a cue's value is evidence against being static (eq. 2).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Side {
@@ -19,7 +19,7 @@ pub enum Side {
     Both,
 }
 
-/// Eq. 2: the value of a likelihood at its peak.
+/// Value of a likelihood at its peak (eq. 2).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Height {
@@ -30,7 +30,7 @@ pub enum Height {
     Density,
 }
 
-/// Eq. 2: how the likelihoods of a node's cues are combined.
+/// Combination of the likelihoods of a node's cues (eq. 2).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Pooling {
@@ -41,7 +41,7 @@ pub enum Pooling {
     Geometric,
 }
 
-/// Eq. 3: from the combined likelihood of a node to its P(static).
+/// From the combined likelihood of a node to its P(static) (eq. 3).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Decision {
@@ -80,7 +80,7 @@ pub enum ThinEvidence {
     Neighbours,
 }
 
-/// Eq. 6: how distances enter the position kernel.
+/// How distances enter the position kernel (eq. 6).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Distance {
@@ -91,7 +91,7 @@ pub enum Distance {
     Linear,
 }
 
-/// Eq. 6: which distances enter the position kernel.
+/// Which distances enter the position kernel (eq. 6).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PositionTerms {
@@ -103,7 +103,7 @@ pub enum PositionTerms {
     Pixel,
 }
 
-/// Eq. 4: divisor of the sum of one kernel over the neighbours j of node i; rᵢ = Σⱼ kᵢⱼ.
+/// Divisor of the sum of one kernel over the neighbours j of node i (eq. 4); rᵢ = Σⱼ kᵢⱼ.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Normalisation {
@@ -115,7 +115,7 @@ pub enum Normalisation {
     Symmetric,
 }
 
-/// Eq. 7: the retention score S and when a Gaussian is removed ([`crate::window`]).
+/// The retention score S and when a Gaussian is removed (eq. 7, [`crate::window`]).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WindowReading {

@@ -10,9 +10,9 @@ use crate::kernel;
 /// One of the two kernels of eq. 4.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Kernel {
-    /// Eq. 5.
+    /// Features, eq. 5.
     Feature,
-    /// Eq. 6.
+    /// Positions, eq. 6.
     Position,
 }
 

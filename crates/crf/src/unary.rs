@@ -1,6 +1,6 @@
 //! The unary potential: P(static) from four cues (eq. 2) and its negative logarithm (eq. 3).
 //!
-//! Eq. 2 models each cue on static points by a Gaussian and adds them up,
+//! The paper models each cue on static points by a Gaussian and adds them up,
 //!
 //! P = Σ π_k N(x_k | μ_k, σ_k²)
 //!
@@ -8,7 +8,7 @@
 //! and a point without any reprojection error is improbable. So by default each likelihood has a
 //! peak of 1 and falls on the bad side of μ only; P is their geometric mean over the known cues.
 //!
-//! Eq. 3, ψ = -ln P, leaves the cost of the other label open. P is a probability of being static, so
+//! The potential ψ = -ln P leaves the cost of the other label open. P is a probability of being static, so
 //!
 //! ψ(static) = -ln P,  ψ(dynamic) = -ln(1 - P)      (C1)
 //!

@@ -1,4 +1,4 @@
-//! [`Descriptor`]: 256 bits that look alike when two patches do.
+//! [`Descriptor`]: 256 bits, similar for similar patches.
 
 use serde::{Deserialize, Serialize};
 

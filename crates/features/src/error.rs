@@ -1,8 +1,8 @@
-//! What can be wrong with the input of this crate.
+//! Errors of this crate.
 
 use thiserror::Error;
 
-/// Input this crate cannot work with.
+/// Invalid input.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum FeatureError {
@@ -16,15 +16,15 @@ pub enum FeatureError {
         /// What it may be.
         expected: &'static str,
     },
-    /// A picture without pixels.
-    #[error("the picture is {width} x {height}; expected at least one pixel")]
+    /// An image without pixels.
+    #[error("the image is {width} x {height}; expected at least one pixel")]
     EmptyImage {
         /// Columns.
         width: usize,
         /// Rows.
         height: usize,
     },
-    /// Two pictures, pyramids or lists that belong together but differ in size.
+    /// Two images, pyramids or lists that belong together but differ in size.
     #[error("{what} differ: {left:?} and {right:?}")]
     SizeMismatch {
         /// What was compared.
@@ -42,10 +42,24 @@ pub enum FeatureError {
         /// How many are needed.
         needed: usize,
     },
-    /// Points that leave the answer open (all equal, all on a line, no parallax, NaN).
+    /// Points that do not determine the result (all equal, all on a line, no parallax, NaN).
     #[error("degenerate input: {reason}")]
     Degenerate {
-        /// What about it.
+        /// The reason.
         reason: &'static str,
     },
+}
+
+/// [`FeatureError::BadSetting`] unless `passes`.
+pub(crate) fn setting(
+    setting: &'static str,
+    value: f64,
+    expected: &'static str,
+    passes: bool,
+) -> Result<(), FeatureError> {
+    passes.then_some(()).ok_or(FeatureError::BadSetting {
+        setting,
+        value,
+        expected,
+    })
 }

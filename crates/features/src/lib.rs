@@ -1,10 +1,9 @@
-//! FAST, ORB, Hamming matching, pyramidal Lucas-Kanade, two-view geometry and the check of flow.
+//! FAST, ORB, Hamming matching, pyramidal Lucas-Kanade, two-view geometry and the flow check.
 //!
-//! Pictures in, points and correspondences out; nothing here knows of maps or Gaussians.
-//! Reading order: [`fast9`] (corners) → [`orb`] (spread over the picture, turned, described) →
-//! [`descriptor`], [`matching`] (which point is which), [`place`] (which picture shows the same) →
-//! [`lk`] (where a point went) → [`epipolar`] (what two views allow) → [`flow`] (who moves as the
-//! scene does).
+//! Images in, points and correspondences out; nothing here depends on maps or Gaussians.
+//! Reading order: [`fast9`] (corners) → [`orb`] (spread over the image, oriented, described) →
+//! [`descriptor`], [`matching`] (correspondences), [`place`] (place recognition) →
+//! [`lk`] (optical flow) → [`epipolar`] (two-view geometry) → [`flow`] (eq. 9, 10: the flow check).
 //!
 //! Everything up to sub-pixel tracking is integer arithmetic with the definitions of OpenCV and
 //! ORB-SLAM3, so that a port can be compared bit by bit.

@@ -1,5 +1,5 @@
-//! Matching by Hamming distance: nearest neighbour, the tests that make it trustworthy, and the
-//! check that all matches turn alike.
+//! Matching by Hamming distance: nearest neighbours, the ratio and mutual tests, and the rotation
+//! check.
 
 use garad_core::Par;
 
@@ -17,14 +17,14 @@ pub struct Match {
     pub distance: u32,
 }
 
-/// Which nearest neighbours are believed.
+/// Which nearest neighbours are accepted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MatchConfig {
     /// Largest distance, bits. ORB-SLAM uses 50 (sure) and 100 (likely).
     pub max_distance: u32,
     /// The best must be below this times the second best; `None` for no such test.
     pub ratio: Option<f32>,
-    /// The match must also be the nearest seen from the train side.
+    /// The query must also be the nearest of the train descriptor.
     pub mutual: bool,
 }
 
@@ -103,7 +103,7 @@ pub fn match_descriptors(
     } else {
         Vec::new()
     };
-    let believed = |q: usize, n: &Nearest| {
+    let accepted = |q: usize, n: &Nearest| {
         let near = n.distance <= config.max_distance;
         let distinct = config
             .ratio
@@ -113,7 +113,7 @@ pub fn match_descriptors(
     };
     let matches = forward.iter().enumerate();
     matches
-        .filter_map(|(q, n)| n.filter(|n| believed(q, n)).map(|n| (q, n)))
+        .filter_map(|(q, n)| n.filter(|n| accepted(q, n)).map(|n| (q, n)))
         .map(|(query, n)| Match {
             query,
             train: n.train,

@@ -9,15 +9,15 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{OptimError, positive};
 
-/// What Adam remembers, and how long.
+/// Decay rates of the moments, and ε.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AdamConfig {
-    /// Share of the mean gradient kept per step; it is remembered for about 1/(1 - β₁) steps.
+    /// Share of the mean gradient kept per step; its time constant is 1/(1 - β₁) steps.
     pub beta1: f64,
     /// The same for the mean square.
     pub beta2: f64,
-    /// Added to the root of the mean square. As small as 3D Gaussian Splatting takes it, it only
-    /// keeps 0/0 away, so that gradients of any size give steps of one size.
+    /// Added to the root of the mean square. With the small value of 3D Gaussian Splatting it only
+    /// avoids 0/0, and steps do not depend on the size of the gradients.
     pub eps: f64,
 }
 
@@ -159,7 +159,7 @@ impl<T: Real> Adam<T> {
         Ok(())
     }
 
-    /// Forgets the rows that are `false`; the others keep their moments.
+    /// Removes the rows that are `false`; the others keep their moments.
     ///
     /// # Errors
     /// [`OptimError::SizeMismatch`].
@@ -207,7 +207,7 @@ pub fn sgd<T: Real>(
     Ok(())
 }
 
-/// 0 is a group at rest.
+/// 0 leaves a group unchanged.
 fn check_rate(learning_rate: f64) -> Result<(), OptimError> {
     if learning_rate.is_finite() && learning_rate >= 0.0 {
         Ok(())
@@ -245,7 +245,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn adam(rows: usize, width: usize) -> Adam<f64> {
-        Adam::new(AdamConfig::default(), rows, width).expect("the usual numbers")
+        Adam::new(AdamConfig::default(), rows, width).expect("valid settings")
     }
 
     #[test]
@@ -360,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_an_error_and_changes_nothing() {
+    fn invalid_input_is_an_error_and_changes_nothing() {
         let (mut state, mut p) = (adam(1, 2), [1.0, 2.0]);
         let before = state.clone();
         let nan = state.step(&mut p, &[0.0, f64::NAN], 0.1);

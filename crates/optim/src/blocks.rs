@@ -1,4 +1,4 @@
-//! [`BlockMatrix`]: sparse symmetric systems of 6x6 blocks, one per pose, by loops one can read.
+//! [`BlockMatrix`]: sparse symmetric systems of 6x6 blocks, one per pose, by plain loops.
 //!
 //! Two poses share a block if something couples them: an edge of a pose graph, a point seen by
 //! both. Eliminating a pose couples all poses it was coupled with, so the order of elimination
@@ -47,7 +47,7 @@ impl Pattern {
             let next = (0..n)
                 .filter(|&a| step[a] == usize::MAX)
                 .min_by_key(|&a| neighbours[a].len())
-                .unwrap_or(0);
+                .expect("k poses of n are eliminated so far");
             step[next] = k;
             let clique = std::mem::take(&mut neighbours[next]);
             for &a in &clique {
@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_positive_definite_is_refused() {
+    fn indefinite_matrices_are_errors() {
         let pattern = Pattern::new(2, [(0, 1)]);
         let mut matrix = BlockMatrix::zeros(&pattern);
         matrix.diagonal[0] = std::array::from_fn(|i| f64::from(u8::from(i % 7 == 0)));

@@ -1,10 +1,10 @@
-//! [`check_jacobian`]: does a Jacobian say what the residual does?
+//! [`check_jacobian`]: a Jacobian against finite differences of its residual.
 
 use nalgebra::SVector;
 
 use crate::dense::{Problem, Recorder};
 
-/// The worst disagreement between a Jacobian and finite differences of its residual.
+/// The largest difference between a Jacobian and finite differences of its residual.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JacobianCheck {
     /// |analytic - numeric| over the largest absolute element of that block's Jacobian (of 1 if

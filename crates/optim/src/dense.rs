@@ -2,8 +2,8 @@
 //!
 //! A problem is one function, [`Problem::blocks`], that shows every residual block with its
 //! Jacobian and kernel to a [`Visitor`]. The cost, the normal equations, the finite-difference
-//! check and a test that wants to see each number are visitors: residual and Jacobian cannot drift
-//! apart, because there is one place that computes them.
+//! check and the recorder of all blocks are visitors: residual and Jacobian cannot disagree,
+//! because one place computes both.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -125,7 +125,7 @@ impl<const N: usize> Visitor<N> for NormalEquations<N> {
 }
 
 /// A diagonal element is never taken for less than this part of the largest one: an unknown that
-/// no residual sees stays where it is and does not make the system singular.
+/// without a residual keeps its value and does not make the system singular.
 pub(crate) const SMALLEST_DIAGONAL: f64 = 1e-24;
 
 impl<const N: usize> System for NormalEquations<N> {
@@ -162,7 +162,7 @@ impl<const N: usize> System for NormalEquations<N> {
     }
 }
 
-/// A [`Problem`] as [`crate::lm::minimise`] wants it.
+/// A [`Problem`] as a [`crate::lm::Model`].
 #[derive(Debug)]
 pub struct Dense<'a, P, const N: usize>(pub &'a P);
 

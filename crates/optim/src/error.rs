@@ -3,7 +3,7 @@
 
 use thiserror::Error;
 
-/// Input an optimisation cannot start from.
+/// Invalid input.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum OptimError {

@@ -1,12 +1,13 @@
 //! Least squares for SLAM: robust kernels, Levenberg-Marquardt, the pose of a camera, bundles.
 //!
-//! Reading order: [`robust`] (how much a residual pulls) → [`lm`] (the loop) → [`dense`] (problems
+//! Reading order: [`robust`] (kernels) → [`lm`] (the loop) → [`dense`] (problems
 //! of few unknowns, as visitors of residual blocks) and [`solve`] (their linear systems) →
-//! [`reprojection`] (the residual of eq. 11) → [`pose`] (the camera alone), [`pnp`] (from anywhere) → [`bundle`] (cameras and
-//! points, through a Schur complement) → [`pose_graph`] (poses alone, around a loop). [`adam`] walks down gradients instead. [`check`] compares any Jacobian with finite differences.
+//! [`reprojection`] (the residual of eq. 11) → [`pose`] (eq. 11: one camera), [`pnp`] (without an initial
+//! pose) → [`bundle`] (cameras and points, through a Schur complement) → [`pose_graph`] (poses alone, around a
+//! loop). [`adam`] is gradient descent. [`check`] compares any Jacobian with finite differences.
 //!
 //! # Example
-//! A camera that stands 10 cm beside where it is believed to be, and four points:
+//! A camera 10 cm beside its initial pose, and four points:
 //! ```
 //! use garad_core::{Camera, Se3, So3};
 //! use garad_optim::{PoseConfig, PoseObservation, optimise_pose};

@@ -5,7 +5,7 @@
 //! of the unknowns). The step is taken if the cost becomes *smaller*; the comparison is written
 //! so that NaN is a rejection.
 //!
-//! The gain ratio compares the decrease of the cost with the decrease the linear model promised,
+//! The gain ratio compares the decrease of the cost with the decrease that the linear model predicts,
 //!
 //! F(0) - L(h) = -gᵀh - ½ hᵀHh = ½ hᵀ(λDh - g)                                          (E10)
 //!
@@ -76,7 +76,7 @@ impl Default for LmConfig {
     }
 }
 
-/// Why it ended.
+/// The reason for stopping.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StopReason {
     /// The model expects no more than [`LmConfig::cost_tolerance`], or the cost is at its floor.
@@ -91,7 +91,7 @@ pub enum StopReason {
     NotFinite,
 }
 
-/// How it went.
+/// Summary of a minimisation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Report {
     /// Cost at the start.
@@ -104,7 +104,7 @@ pub struct Report {
     pub rejected: usize,
     /// Largest absolute component of the gradient at the end.
     pub grad_norm: f64,
-    /// Why it ended.
+    /// The reason for stopping.
     pub stop: StopReason,
 }
 
@@ -117,7 +117,7 @@ pub struct Trial {
     pub cost: f64,
     /// Cost after; NaN when the system could not be solved.
     pub new_cost: f64,
-    /// Real decrease over promised one.
+    /// Decrease of the cost over the predicted one.
     pub gain_ratio: f64,
     /// Taken.
     pub accepted: bool,
@@ -146,7 +146,7 @@ impl Damping {
     }
 }
 
-/// Minimises from `initial` and says how it went.
+/// Minimises from `initial`.
 ///
 /// # Numerics
 /// The cost never rises. Deterministic.
@@ -199,7 +199,7 @@ pub fn minimise_observed<M: Model>(
             accepted: false,
         };
         if let Some(damped) = system.solve(damping.lambda) {
-            // After a rejection a small promise only says that λ is large.
+            // After a rejection a small predicted decrease only means that λ is large.
             if damping.growth <= 2.0 && damped.model_decrease <= config.cost_tolerance * report.cost
             {
                 break StopReason::Converged;

@@ -1,11 +1,11 @@
-//! [`solve_pnp_ransac`]: where is the camera, if nobody says where to look?
+//! [`solve_pnp_ransac`]: the pose of a camera from matches with many outliers and no initial pose.
 //!
-//! [`crate::pose`] needs a pose to start from and matches that are mostly right. A lost camera has
-//! neither. Three matches leave at most four poses ([`p3p()`]); triples are drawn until one without a
-//! wrong match has very probably been among them; the pose that most matches agree with is refined
+//! [`crate::pose`] needs an initial pose and matches that are mostly right; after tracking was lost there
+//! is neither. Three matches leave at most four poses ([`p3p()`]); triples are drawn until one without a
+//! wrong match has very probably been among them; the pose with most inliers is refined
 //! on those by Levenberg-Marquardt.
 //!
-//! Reading order: [`p3p`](mod@p3p) (three points) → this file (many, most of them wrong).
+//! Reading order: [`p3p`](mod@p3p) (three points) → this file (many, with outliers).
 
 use garad_core::{Camera, Par, Rng, Se3};
 use nalgebra::Vector3;
@@ -25,7 +25,7 @@ pub struct PnpConfig {
     pub confidence: f64,
     /// Most triples drawn.
     pub max_samples: usize,
-    /// Fewer matches that agree are no answer.
+    /// Inliers that a pose needs.
     pub min_inliers: usize,
     /// Seed of the draws.
     pub seed: u64,
@@ -45,30 +45,30 @@ impl Default for PnpConfig {
     }
 }
 
-/// What [`solve_pnp_ransac`] found.
+/// Result of [`solve_pnp_ransac`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct PnpResult {
     /// The pose.
     pub camera_from_world: Se3,
-    /// Per observation: whether it agrees, with its depth reading if it has one.
+    /// Per observation: within the gate, with its depth reading if it has one.
     pub inlier: Vec<bool>,
-    /// How many do.
+    /// How many are.
     pub n_inliers: usize,
     /// Triples drawn.
     pub samples: usize,
 }
 
-/// Triples drawn between two looks at whether they are enough.
+/// Triples drawn between two tests of the stopping rule.
 const BATCH: usize = 32;
-/// Most rounds of refining on those that agree.
+/// Most rounds of refining on the inliers.
 const REFITS: usize = 5;
 
 /// Finds the pose of a camera from matches of which many may be wrong.
 ///
 /// Random sample consensus over [`p3p()`] with the cost Σ min(χ², `chi2_2d`) of pixels (MSAC: Torr and
 /// Zisserman 2000). Drawing stops when a triple without a wrong match has been seen with probability
-/// `confidence`: 1 - (1 - w³)ᵏ, w the share of matches that agree. The winner is refined on those by
-/// [`optimise_pose`], depth readings included, as long as more matches come to agree.
+/// `confidence`: 1 - (1 - w³)ᵏ, w the share of inliers. The best pose is refined on its inliers by
+/// [`optimise_pose`], depth readings included, as long as their number grows.
 ///
 /// `Ok(None)`: no pose has `min_inliers`; also for fewer than three observations and for points
 /// that are all on a line, in one place, or behind the camera.
@@ -186,13 +186,13 @@ impl Pnp<'_> {
         }
     }
 
-    /// Levenberg-Marquardt on what agrees, then a new look at what agrees, while that grows.
+    /// Levenberg-Marquardt on the inliers, then new inliers, while their number grows.
     fn refine(&self, camera: &Camera, start: &Se3) -> Result<(Se3, Vec<bool>), OptimError> {
         let config = PoseConfig {
             rounds: 1,
             ..self.config.pose
         };
-        // The triple's pose is judged by pixels, later ones with depth.
+        // The gate of the triple's pose uses pixels, that of later ones also depth.
         let mut pose = *start;
         let mut inlier = self.inliers(start, false);
         let mut most = 0;

@@ -48,7 +48,7 @@ pub struct PoseConfig {
     pub restart_from_initial: bool,
     /// Rounds counted from 0; those after this one run without a kernel, on inliers alone.
     pub kernel_off_after_round: usize,
-    /// A round has converged when its next step promises no more than this part of the cost.
+    /// A round has converged when the model expects a decrease of at most this part of the cost.
     /// 1e-9 of N residuals is a step of about √(N·2e-9) standard deviations of the pose.
     pub cost_tolerance: f64,
 }

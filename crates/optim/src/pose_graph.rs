@@ -1,11 +1,11 @@
-//! [`PoseGraph`]: poses that must agree with measured relative poses.
+//! [`PoseGraph`]: poses from measured relative poses.
 //!
-//! Tracking measures each keyframe against its neighbours; small errors add up along the way. When
-//! the camera comes back to a known place, one more relative pose says by how much, and the graph
-//! spreads the error over the loop. Points do not take part: a point moves with the keyframe that
+//! Tracking measures each keyframe against its neighbours; small errors add up. When
+//! the camera returns to a known place, one more relative pose measures the accumulated error, and the graph
+//! distributes it over the loop. Points are not part of the graph: a point moves with the keyframe that
 //! made it, p_world ← T_new⁻¹ T_old p_world.
 //!
-//! An edge says what a_from_b should be; its residual is the motion that is left (E17):
+//! An edge measures a_from_b; its residual is the remaining motion (E17):
 //!
 //! ```text
 //! E = (a_from_b)⁻¹ T_a T_b⁻¹      r = log E  (ρ, φ)      F = ½ Σ ρ(rᵀ Ω r)
@@ -49,7 +49,7 @@ pub struct PoseGraphConfig {
     pub iterations: usize,
     /// Converged when a step promises no more than this part of the cost.
     pub cost_tolerance: f64,
-    /// On rᵀΩr of each edge: how far a wrong loop closure may pull.
+    /// On rᵀΩr of each edge; limits the effect of a wrong loop closure.
     pub kernel: RobustKernel,
 }
 
@@ -63,11 +63,10 @@ impl Default for PoseGraphConfig {
     }
 }
 
-/// First λ. A long chain bends easily as a whole: its softest mode is 1/N² of the diagonal, and a
-/// damping that should not hold it back must be smaller.
+/// First λ. The smallest eigenvalue of a long chain is 1/N² of the diagonal, and λ must be below it.
 const LAMBDA: f64 = 1e-8;
 
-/// How it went, and how well each edge is met.
+/// The report of the minimisation, and the residual of each edge.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseGraphReport {
     /// Of the minimisation.
@@ -79,7 +78,7 @@ pub struct PoseGraphReport {
 /// Poses and the edges between them.
 ///
 /// # Example
-/// Two poses, two opinions on how far apart they are, and one is twice as sure:
+/// Two poses and two measurements of their distance, one with twice the information:
 /// ```
 /// use garad_core::{Se3, So3};
 /// use garad_optim::{PoseEdge, PoseGraph, PoseGraphConfig};
@@ -117,7 +116,7 @@ impl PoseGraph {
         self.poses.len() - 1
     }
 
-    /// Moves the free poses to where the edges want them, by Levenberg-Marquardt.
+    /// Optimises the free poses by Levenberg-Marquardt.
     ///
     /// # Numerics
     /// f64, sums in the order of the edges, sparse LDLᵀ of 6x6 blocks (`blocks`): the same

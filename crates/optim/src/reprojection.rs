@@ -7,9 +7,9 @@
 //! right      (û - bf/z - u_R) / σ_R,   u_R = u - bf/d
 //! disparity  (bf/d - bf/z) / σ_δ                                                        (E12)
 //!
-//! The first is where a virtual second camera, a baseline b to the right, would see the point:
-//! ORB-SLAM's. It repeats the error of u, so σ_R is at least σ, and a good depth sensor counts for
-//! little. The second is the first minus the residual of u: what the sensor says, with its own σ.
+//! The first is the column of the point in a virtual second camera, a baseline b to the right:
+//! ORB-SLAM's. It contains the error of u, so σ_R is at least σ, and a good depth sensor has little
+//! weight. The second is the first minus the residual of u: the sensor's measurement alone, with its own σ.
 
 use garad_core::Camera;
 use nalgebra::{SMatrix, SVector, Vector2, Vector3};
@@ -75,7 +75,7 @@ impl DepthObservation {
     }
 }
 
-/// What was measured of one point; shared by pose-only optimisation and bundle adjustment.
+/// The measurement of one point; shared by pose-only optimisation and bundle adjustment.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Reprojection {
     pub(crate) uv_px: Vector2<f64>,
@@ -93,8 +93,8 @@ pub(crate) struct Intrinsics {
     pub(crate) bf: f64,
 }
 
-/// Nearer points count as behind the camera, metres. No depth camera sees anything there, and a
-/// point in the lens would fit any pixel by moving the camera a hair's breadth.
+/// Nearer points count as behind the camera, metres. No depth camera measures there, and a
+/// point at the lens would fit any pixel after a tiny motion of the camera.
 pub(crate) const MIN_DEPTH_M: f64 = 0.05;
 
 impl Intrinsics {

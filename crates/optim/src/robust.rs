@@ -1,4 +1,4 @@
-//! [`RobustKernel`]: how much a residual may pull.
+//! [`RobustKernel`]: limits the influence of large residuals.
 //!
 //! A kernel acts on the squared norm s = ‖r‖² of a whitened residual *block*: the cost of a
 //! problem is F = ½ Σ ρ(sᵢ), its gradient Σ ρ'(sᵢ) Jᵢᵀ rᵢ. Every kernel has ρ(0) = 0 and ρ'(0) = 1,
@@ -17,8 +17,8 @@
 /// | Tukey, s ≤ c² | c²/3 (1 - (1 - s/c²)³) | (1 - s/c²)² |
 /// | Tukey, s > c² | c²/3 | 0 |
 ///
-/// Huber is convex in r and never loses a block; the others let far blocks go and need a good start.
-/// Under Geman-McClure no block costs more than c², and none is ever quite without a pull.
+/// Huber is convex in r and its influence never falls; that of the last three falls to 0, and they need a good
+/// start. Under Geman-McClure no block costs more than c², and no influence is exactly 0.
 ///
 /// # Example
 /// ```
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_costs_nothing_and_counts_in_full() {
+    fn a_zero_residual_has_cost_0_and_weight_1() {
         for kernel in kernels(1.7) {
             assert!(kernel.rho(0.0).abs() < 1e-300, "{kernel:?}: rho(0)");
             assert!(
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_far_block_pulls_as_it_should() {
+    fn influence_of_a_large_residual() {
         // Influence |d(rho/2)/dr| = r rho'(r²): r, delta, about c²/r, about c⁴/r³, 0.
         let influence = kernels(2.0).map(|k| 1000.0 * k.weight(1e6));
         assert!((influence[0] - 1000.0).abs() < 1e-9, "none: {influence:?}");

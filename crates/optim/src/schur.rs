@@ -1,6 +1,6 @@
 //! [`SchurSystem`]: the normal equations of a bundle, solved through its points.
 //!
-//! Poses p and points l meet only in observations, so the Gauss-Newton matrix has the form
+//! Poses p and points l are coupled only by observations, so the Gauss-Newton matrix has the form
 //!
 //! ```text
 //! [ U   W ] [h_p]     [g_p]       U: a 6x6 block per pose, V: a 3x3 block per point,
@@ -83,8 +83,11 @@ impl Structure {
             let steps: Vec<usize> = seen.iter().filter_map(step).collect();
             for (i, &a) in steps.iter().enumerate() {
                 for &b in &steps[..i] {
-                    let slot = pattern.slot(a, b).map(Place::Lower);
-                    place.push(slot.unwrap_or(Place::Diagonal(a)));
+                    place.push(if a == b {
+                        Place::Diagonal(a)
+                    } else {
+                        Place::Lower(pattern.slot(a, b).expect("coupled above"))
+                    });
                 }
             }
         }
@@ -193,14 +196,14 @@ impl<'a> SchurSystem<'a> {
         self.structure.start[l]..self.structure.start[l + 1]
     }
 
-    /// What the diagonal is never taken for less than, see [`SMALLEST_DIAGONAL`].
+    /// The floor of the diagonal, see [`SMALLEST_DIAGONAL`].
     fn floor(&self) -> f64 {
         let poses = self.u.iter().map(|u| u.diagonal().amax());
         let points = self.v.iter().map(|v| v.diagonal().amax());
         SMALLEST_DIAGONAL * poses.chain(points).fold(0.0, f64::max)
     }
 
-    /// (V + λD)⁻¹ per point; 0 for a point that nobody sees, which then stays.
+    /// (V + λD)⁻¹ per point; 0 for a point without observations, which then stays.
     fn inverse_points(&self, damping: Damping) -> Option<Vec<Matrix3<f64>>> {
         self.v
             .iter()
@@ -497,7 +500,10 @@ mod tests {
             let rest = poses.iter().map(Vector6::amax).fold(0.0, f64::max);
             let rest = points.iter().map(Vector3::amax).fold(rest, f64::max);
             assert!(rest < 1e-9, "λ = {lambda}: {rest}");
-            assert!(step.points[2].amax() < 1e-300, "nobody saw it: it stays");
+            assert!(
+                step.points[2].amax() < 1e-300,
+                "without observations: it stays"
+            );
         }
     }
 

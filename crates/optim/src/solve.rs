@@ -1,4 +1,4 @@
-//! [`ldlt_solve`]: small symmetric positive definite systems by loops one can read.
+//! [`ldlt_solve`]: small symmetric positive definite systems by plain loops.
 //!
 //! A = L D Lᵀ with L unit lower triangular and D diagonal: as Cholesky, but without square roots.
 //! Matrix libraries pick their kernels by processor; these loops have one order of operations and
@@ -11,7 +11,7 @@ use thiserror::Error;
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error("not positive definite: pivot {pivot} at row {row}")]
 pub struct NotPositiveDefinite {
-    /// Where it showed.
+    /// Row of the pivot.
     pub row: usize,
     /// The pivot found: zero, negative or NaN.
     pub pivot: f64,
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_positive_definite_is_refused() {
+    fn indefinite_matrices_are_errors() {
         let row = |m: Matrix3<f64>| ldlt_solve(&m, &Vector3::x()).map_err(|e| e.row);
         assert_eq!(row(Matrix3::zeros()), Err(0), "zero");
         assert_eq!(row(Matrix3::from_element(1.0)), Err(1), "rank 1");

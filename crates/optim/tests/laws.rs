@@ -96,7 +96,7 @@ fn powells_singular_function_is_solved() {
     );
 }
 
-/// A linear model keeps its promise at any λ: 1.0000, and not 1.24 or 13.8.
+/// The predicted decrease of a linear problem is exact at any λ: 1.0000, and not 1.24 or 13.8.
 #[test]
 fn gain_ratio_is_one_on_linear_problems() {
     let mut rng = Rng::keyed(11, &[0]);
@@ -293,7 +293,7 @@ proptest! {
     }
 }
 
-/// A checker that cannot fail checks nothing: one wrong sign is found, with its place.
+/// The check itself: one wrong sign is found, with its place.
 #[test]
 fn the_checker_finds_a_wrong_jacobian() {
     let wrong = plain(|x: &SVector<f64, 2>| {

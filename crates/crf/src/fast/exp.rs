@@ -5,7 +5,7 @@ use wide::{f64x4, i64x4};
 
 /// Below this the answer is 0: e⁻⁷⁰⁸ = 3.3e-308 is the last whole unit above the subnormals.
 const SMALLEST: f64 = -708.0;
-/// Added and taken away again, it rounds a number below 2⁵¹ to the nearest integer.
+/// Added and subtracted again, it rounds a number below 2⁵¹ to the nearest integer.
 const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 · 2⁵²
 /// ln 2 = `LN2_HIGH` + `LN2_LOW`; the first has 42 bits, so that its product with |n| < 2¹¹ is exact.
 const LN2_HIGH: f64 = 0.693_147_180_559_890_3;

@@ -26,7 +26,7 @@ const RANK_TOLERANCE: f64 = 1e-12;
 ///
 /// # Errors
 /// [`FeatureError::SizeMismatch`] for lists of different length, [`FeatureError::TooFewPoints`]
-/// below 8, [`FeatureError::Degenerate`] for points that leave F open or are not finite.
+/// below 8, [`FeatureError::Degenerate`] for points that do not determine F or are not finite.
 pub fn eight_point(
     uv1: &[Vector2<f64>],
     uv2: &[Vector2<f64>],
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn what_leaves_f_open_is_refused() {
+    fn degenerate_points_are_errors() {
         let [uv1, uv2] = two_views(20, &motion(), 1);
         let refused =
             |a: &[Vector2<f64>], b: &[Vector2<f64>]| eight_point(a, b).expect_err("refused");

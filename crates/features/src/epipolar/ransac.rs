@@ -1,11 +1,11 @@
-//! F from pairs of which many are wrong.
+//! F from pairs with outliers (RANSAC).
 
 use garad_core::{Par, Rng};
 use nalgebra::{Matrix3, Vector2};
 
 use super::eight_point::{MIN_PAIRS, check_pairs, eight_point_of};
 use super::sampson_px2;
-use crate::error::FeatureError;
+use crate::error::{FeatureError, setting};
 
 /// Settings of [`fundamental_ransac`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,18 +31,18 @@ impl Default for RansacConfig {
     }
 }
 
-/// What [`fundamental_ransac`] found.
+/// Result of [`fundamental_ransac`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct FundamentalEstimate {
     /// ‖F‖ = 1, entry of largest magnitude positive.
     pub fundamental: Matrix3<f64>,
-    /// Which pairs agree with it.
+    /// Per pair: within the threshold.
     pub inliers: Vec<bool>,
     /// Samples drawn.
     pub samples: usize,
 }
 
-/// Samples drawn between two looks at whether they are enough.
+/// Samples drawn between two tests of the stopping rule.
 const BATCH: usize = 64;
 /// Most rounds of refitting to all inliers.
 const REFITS: usize = 10;
@@ -74,14 +74,14 @@ pub fn fundamental_ransac(
 ) -> Result<FundamentalEstimate, FeatureError> {
     check_pairs(uv1, uv2)?;
     config.validate()?;
-    let judge = |fundamental| Hypothesis::new(fundamental, uv1, uv2, config.threshold_px);
+    let evaluate = |fundamental| Hypothesis::new(fundamental, uv1, uv2, config.threshold_px);
     let mut best: Option<Hypothesis> = None;
     let (mut drawn, mut enough) = (0, config.max_samples);
     while drawn < enough {
         let count = BATCH.min(config.max_samples - drawn);
         let batch = par.map(count, |i| {
             let sample = draw(config.seed, drawn + i, uv1.len());
-            eight_point_of(uv1, uv2, &sample).ok().map(judge)
+            eight_point_of(uv1, uv2, &sample).ok().map(evaluate)
         });
         drawn += count;
         for hypothesis in batch.into_iter().flatten() {
@@ -101,7 +101,7 @@ pub fn fundamental_ransac(
         if best.inliers.len() < MIN_PAIRS {
             break;
         }
-        match eight_point_of(uv1, uv2, &best.inliers).map(judge) {
+        match eight_point_of(uv1, uv2, &best.inliers).map(evaluate) {
             Ok(refit) if refit.cost < best.cost => best = refit,
             _ => break,
         }
@@ -119,23 +119,11 @@ pub fn fundamental_ransac(
 
 impl RansacConfig {
     fn validate(&self) -> Result<(), FeatureError> {
-        let bad = |setting, value, expected| {
-            Err(FeatureError::BadSetting {
-                setting,
-                value,
-                expected,
-            })
-        };
-        if !(self.threshold_px > 0.0 && self.threshold_px.is_finite()) {
-            return bad("threshold_px", self.threshold_px, "a positive number");
-        }
-        if !(self.confidence > 0.0 && self.confidence < 1.0) {
-            return bad("confidence", self.confidence, "between 0 and 1");
-        }
-        if self.max_samples == 0 {
-            return bad("max_samples", 0.0, "at least 1");
-        }
-        Ok(())
+        let (px, p) = (self.threshold_px, self.confidence);
+        let valid = px > 0.0 && px.is_finite();
+        setting("threshold_px", px, "a positive number", valid)?;
+        setting("confidence", p, "between 0 and 1", p > 0.0 && p < 1.0)?;
+        setting("max_samples", 0.0, "at least 1", self.max_samples > 0)
     }
 }
 
@@ -214,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn right_pairs_are_told_from_wrong_ones() {
+    fn outliers_are_found() {
         for seed in 0..5 {
             let (n, wrong) = (200, 60);
             let [uv1, uv2] = pairs(n, wrong, 0.3, seed);
@@ -268,39 +256,19 @@ mod tests {
     }
 
     #[test]
-    fn bad_settings_and_hopeless_points_are_refused() {
+    fn bad_settings_and_degenerate_points_are_errors() {
         let [uv1, uv2] = pairs(20, 0, 0.0, 3);
         let good = RansacConfig::default();
-        for (bad, name) in [
-            (
-                RansacConfig {
-                    threshold_px: 0.0,
-                    ..good
-                },
-                "threshold_px",
-            ),
-            (
-                RansacConfig {
-                    threshold_px: f64::NAN,
-                    ..good
-                },
-                "threshold_px",
-            ),
-            (
-                RansacConfig {
-                    confidence: 1.0,
-                    ..good
-                },
-                "confidence",
-            ),
-            (
-                RansacConfig {
-                    max_samples: 0,
-                    ..good
-                },
-                "max_samples",
-            ),
-        ] {
+        type Break = fn(&mut RansacConfig);
+        let breaks: [(&str, Break); 4] = [
+            ("threshold_px", |c| c.threshold_px = 0.0),
+            ("threshold_px", |c| c.threshold_px = f64::NAN),
+            ("confidence", |c| c.confidence = 1.0),
+            ("max_samples", |c| c.max_samples = 0),
+        ];
+        for (name, spoil) in breaks {
+            let mut bad = good;
+            spoil(&mut bad);
             match fundamental_ransac(&uv1, &uv2, &bad, Par::Seq) {
                 Err(FeatureError::BadSetting { setting, .. }) => assert_eq!(setting, name),
                 other => panic!("{name}: {other:?}"),

@@ -8,7 +8,7 @@
 //!
 //! That is `min` and `max` of bytes without a branch, which the compiler turns into 16 pixels per
 //! instruction. A block in which no pixel passes is done; in the few others all pixels are scored
-//! the same way, which costs less than picking out those that passed.
+//! the same way, which costs less than selecting those that passed.
 
 use garad_core::GrayImage;
 
@@ -133,7 +133,7 @@ fn best_arcs<const N: usize>(ring: &[[u8; N]; 16]) -> ([u8; N], [u8; N]) {
     (largest_min, smallest_max)
 }
 
-/// One pixel, where the picture is too narrow for a block.
+/// One pixel, where the image is too narrow for a block.
 fn score_pixel(rows: &[&[u8]; 7], x: usize, threshold: u8) -> u8 {
     let ring =
         CIRCLE.map(|(dx, dy)| [rows[3usize.wrapping_add_signed(dy)][x.wrapping_add_signed(dx)]]);

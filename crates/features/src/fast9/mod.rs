@@ -77,7 +77,7 @@ impl Window {
     }
 }
 
-/// All corners of a picture in raster order.
+/// All corners of an image in raster order.
 ///
 /// With `suppress`, only those whose score is strictly greater than the scores of all 8
 /// neighbours, where a neighbour that is no corner counts 0; two equal neighbours remove each
@@ -131,8 +131,8 @@ mod tests {
     use garad_core::Rng;
     use proptest::prelude::*;
 
-    /// A 7x7 picture of `centre` whose circle pixels are given one by one.
-    fn circle_picture(centre: u8, circle: [u8; 16]) -> GrayImage {
+    /// A 7x7 image of `centre` whose circle pixels are given one by one.
+    fn circle_image(centre: u8, circle: [u8; 16]) -> GrayImage {
         let mut image = GrayImage::new(7, 7, centre);
         for ((dx, dy), value) in CIRCLE.into_iter().zip(circle) {
             image[((3 + dx).unsigned_abs(), (3 + dy).unsigned_abs())] = value;
@@ -162,7 +162,7 @@ mod tests {
                                 for k in 0..length {
                                     circle[(start + k) % 16] = value;
                                 }
-                                let image = circle_picture(100, circle);
+                                let image = circle_image(100, circle);
                                 assert_eq!(
                                     score(&image, 20),
                                     expected,
@@ -176,7 +176,7 @@ mod tests {
                 #[test]
                 fn threshold_is_met_by_equality() {
                     // Contrast 21 has score 20: a corner at 20, none at 21.
-                    let image = circle_picture(100, [121; 16]);
+                    let image = circle_image(100, [121; 16]);
                     assert_eq!(
                         [score(&image, 20), score(&image, 21)],
                         [20, 0],
@@ -186,15 +186,15 @@ mod tests {
 
                 #[test]
                 fn extremes_do_not_wrap() {
-                    let bright = circle_picture(0, [255; 16]);
-                    let dark = circle_picture(255, [0; 16]);
+                    let bright = circle_image(0, [255; 16]);
+                    let dark = circle_image(255, [0; 16]);
                     assert_eq!(
                         [score(&bright, 1), score(&dark, 254)],
                         [254, 254],
                         "full contrast"
                     );
                     assert_eq!(score(&bright, 255), 0, "no contrast reaches 256");
-                    assert_eq!(score(&circle_picture(7, [7; 16]), 1), 0, "flat");
+                    assert_eq!(score(&circle_image(7, [7; 16]), 1), 0, "flat");
                 }
 
                 #[test]
@@ -284,7 +284,7 @@ mod tests {
                 y: 0,
                 score: 4
             }],
-            "a tie has no winner"
+            "equal scores remove each other"
         );
         // Cut between the two, each is alone in its window.
         for (x0, x1) in [(0, 2), (2, 5)] {
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_without_a_full_circle_have_no_corner() {
+    fn images_without_a_full_circle_have_no_corner() {
         for size in [(0, 0), (1, 1), (6, 40), (40, 6)] {
             assert!(
                 corners(&noise(size.0, size.1, 3), 1, false).is_empty(),

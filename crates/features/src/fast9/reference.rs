@@ -7,7 +7,7 @@ use super::{CIRCLE, Window};
 /// Writes the score of each pixel of `window`, 0 where it is below `threshold` (at least 1).
 ///
 /// `scores` is made as large as `image`; pixels outside `window` keep their value. The window
-/// lies at least [`super::BORDER`] inside the picture.
+/// lies at least [`super::BORDER`] inside the image.
 ///
 /// # Panics
 /// If the window is nearer to the edge than that.
@@ -35,8 +35,8 @@ fn score_at(image: &GrayImage, x: usize, y: usize) -> i16 {
     let mut best = i16::MIN;
     for start in 0..16 {
         let arc = || (0..9).map(|k| brighter[(start + k) % 16]);
-        let all_brighter_by = arc().min().unwrap_or(0);
-        let all_darker_by = -arc().max().unwrap_or(0);
+        let all_brighter_by = arc().min().expect("nine pixels");
+        let all_darker_by = -arc().max().expect("nine pixels");
         best = best.max(all_brighter_by).max(all_darker_by);
     }
     best - 1

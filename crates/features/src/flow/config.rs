@@ -3,7 +3,7 @@
 use garad_core::chi_square::{CHI2_2DOF_50, CHI2_2DOF_95};
 use serde::{Deserialize, Serialize};
 
-use crate::error::FeatureError;
+use crate::error::{FeatureError, setting};
 
 /// How suspects are checked; the defaults are the pipeline's (decision 005).
 ///
@@ -88,23 +88,13 @@ impl FlowConfig {
     /// # Errors
     /// [`FeatureError::BadSetting`] with the first setting outside its range.
     pub fn validate(&self) -> Result<(), FeatureError> {
-        let bad = |setting, value, expected| FeatureError::BadSetting {
-            setting,
-            value,
-            expected,
-        };
-        let floor = self.covariance_floor_px2;
-        if !(floor >= 0.0 && floor.is_finite()) {
-            let expected = "pixels squared, finite and not negative";
-            return Err(bad("covariance_floor_px2", floor, expected));
-        }
-        if self.min_support < 3 {
-            let got = self.min_support as f64;
-            return Err(bad("min_support", got, "at least 3 points"));
-        }
-        if !(self.chi2 > 0.0 && self.chi2.is_finite()) {
-            return Err(bad("chi2", self.chi2, "a positive number"));
-        }
-        Ok(())
+        let (floor, support, chi2) = (self.covariance_floor_px2, self.min_support, self.chi2);
+        let expected = "pixels squared, finite and not negative";
+        let valid = floor >= 0.0 && floor.is_finite();
+        setting("covariance_floor_px2", floor, expected, valid)?;
+        let valid = support >= 3;
+        setting("min_support", support as f64, "at least 3 points", valid)?;
+        let valid = chi2 > 0.0 && chi2.is_finite();
+        setting("chi2", chi2, "a positive number", valid)
     }
 }

@@ -300,45 +300,22 @@ fn five_percent_of_static_points_are_outside() {
 #[test]
 fn bad_settings_and_bad_numbers_are_errors() {
     let good = floored();
-    let bad = [
-        (
-            FlowConfig {
-                covariance_floor_px2: -0.1,
-                ..good
-            },
-            "covariance_floor_px2",
-        ),
-        (
-            FlowConfig {
-                covariance_floor_px2: f64::NAN,
-                ..good
-            },
-            "covariance_floor_px2",
-        ),
-        (
-            FlowConfig {
-                covariance_floor_px2: f64::INFINITY,
-                ..good
-            },
-            "covariance_floor_px2",
-        ),
-        (
-            FlowConfig {
-                min_support: 2,
-                ..good
-            },
-            "min_support",
-        ),
-        (FlowConfig { chi2: 0.0, ..good }, "chi2"),
-        (
-            FlowConfig {
-                chi2: f64::NAN,
-                ..good
-            },
-            "chi2",
-        ),
+    type Break = fn(&mut FlowConfig);
+    let breaks: [(&str, Break); 6] = [
+        ("covariance_floor_px2", |c| c.covariance_floor_px2 = -0.1),
+        ("covariance_floor_px2", |c| {
+            c.covariance_floor_px2 = f64::NAN
+        }),
+        ("covariance_floor_px2", |c| {
+            c.covariance_floor_px2 = f64::INFINITY
+        }),
+        ("min_support", |c| c.min_support = 2),
+        ("chi2", |c| c.chi2 = 0.0),
+        ("chi2", |c| c.chi2 = f64::NAN),
     ];
-    for (config, name) in bad {
+    for (name, spoil) in breaks {
+        let mut config = good;
+        spoil(&mut config);
         let error = fit_flow(&[], &config).expect_err(name).to_string();
         assert!(error.starts_with(name), "{error}");
     }

@@ -6,7 +6,7 @@
 //! instruction on every processor since 1997, and the loops are written so that the compiler
 //! finds it (weights as lists in memory, `clamp` before narrowing).
 //!
-//! The three columns too many have derivative 0 in the template, so whatever the picture holds
+//! The three columns too many have derivative 0 in the template, so whatever the image holds
 //! there adds nothing. Products of difference and derivative are summed in 32 bits over three
 //! rows, which cannot overflow: |difference| ≤ 8161 (255 · 32 and the rounding of weights),
 //! |derivative| ≤ 4081, and 63 · 8161 · 4081 < 2³¹. Groups of rows are summed in 64 bits.
@@ -33,7 +33,7 @@ const NO_SAMPLES: Samples = [[0; ROWS * LANES]; GROUPS];
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fast;
 
-/// A window of the first picture.
+/// A window of the first image.
 #[derive(Debug, Clone)]
 pub(super) struct Template {
     intensity: Samples,
@@ -57,7 +57,7 @@ impl Windows for Fast {
     fn template(level: &LkLevel, place: &Place, template: &mut Template) -> [i64; 3] {
         let weights = PairWeights::new(place.weights);
         let Template { intensity, dx, dy } = template;
-        sample_picture(level, place, &weights, intensity);
+        sample_image(level, place, &weights, intensity);
         let (dx_pairs, dy_pairs) = derivatives(level, place);
         for (pairs, out) in [(&dx_pairs, &mut *dx), (&dy_pairs, &mut *dy)] {
             sample::<DERIVATIVE_SHIFT>(&weights, |y| &pairs[y], out);
@@ -69,7 +69,7 @@ impl Windows for Fast {
     fn mismatch(template: &Template, level: &LkLevel, place: &Place) -> [i64; 2] {
         let weights = PairWeights::new(place.weights);
         let mut diff = NO_SAMPLES;
-        sample_picture(level, place, &weights, &mut diff);
+        sample_image(level, place, &weights, &mut diff);
         let before = template.intensity.as_flattened();
         for (now, before) in diff.as_flattened_mut().iter_mut().zip(before) {
             *now -= before;
@@ -80,7 +80,7 @@ impl Windows for Fast {
     fn absolute_difference(template: &Template, level: &LkLevel, place: &Place) -> i64 {
         let weights = PairWeights::new(place.weights);
         let mut now = NO_SAMPLES;
-        sample_picture(level, place, &weights, &mut now);
+        sample_image(level, place, &weights, &mut now);
         let rows = rows_of(&now).iter().zip(rows_of(&template.intensity));
         rows.flat_map(|(a, b)| a[..WINDOW].iter().zip(&b[..WINDOW]))
             .map(|(a, b)| i64::from((a - b).abs()))
@@ -115,7 +115,7 @@ fn pair_row<const N: usize>(level: &LkLevel, x: isize, y: isize) -> &[i16; N] {
     row.expect("a window ends inside the border")
 }
 
-fn sample_picture(level: &LkLevel, place: &Place, weights: &PairWeights, out: &mut Samples) {
+fn sample_image(level: &LkLevel, place: &Place, weights: &PairWeights, out: &mut Samples) {
     let row = |y: usize| pair_row(level, place.x, place.y + y.cast_signed());
     sample::<INTENSITY_SHIFT>(weights, row, out);
 }
@@ -149,7 +149,7 @@ fn derivatives(level: &LkLevel, place: &Place) -> ([PairRow; WINDOW + 1], [PairR
     (dx, dy)
 }
 
-/// Zeros outside of the picture, where it has no derivative.
+/// Zeros outside of the image, where it has no derivative.
 fn silence_border(level: &LkLevel, place: &Place, rows: &mut [PairRow; WINDOW + 1]) {
     let columns = 0..level.width.cast_signed();
     let mask: PairRow = std::array::from_fn(|i| {

@@ -1,11 +1,11 @@
-//! Pyramidal Lucas-Kanade: where a small window of one picture went in the next.
+//! Pyramidal Lucas-Kanade: the displacement of a small window from one image to the next.
 //!
 //! On each level, from the coarsest down, the displacement d solves the least-squares problem of
 //! a window W of 21 x 21 pixels around the point (Lucas & Kanade 1981):
 //!
 //! min_d Σ_W (J(x + d) - I(x))²,   G δ = -b,   G = Σ ∇I ∇Iᵀ,   b = Σ (J(x + d) - I(x)) ∇I   (E14)
 //!
-//! by repeating d ← d + δ with G of the first picture; the answer, doubled, starts the next level
+//! by repeating d ← d + δ with G of the first image; the answer, doubled, starts the next level
 //! (Bouguet 2000). Everything is OpenCV's `calcOpticalFlowPyrLK`: bilinear weights of 14 bits,
 //! intensities times 32, Scharr derivatives, f32 from the sums on. OpenCV adds the sums in f32 and
 //! in an order that depends on the processor; here they are exact integers.
@@ -58,29 +58,29 @@ impl Default for LkConfig {
     }
 }
 
-/// What became of a point.
+/// The result for one point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LkStatus {
     /// Found.
     Tracked,
-    /// The window left the picture by more than its own size, or the point is not a number.
-    OutOfPicture,
-    /// Too little texture to say (smallest eigenvalue below the gate).
+    /// The window left the image by more than its own size, or the point is not a number.
+    OutOfImage,
+    /// Too little texture (smallest eigenvalue below the gate).
     FlatTexture,
     /// Found, but the windows differ by more than [`LkConfig::max_residual`].
     HighResidual,
 }
 
-/// A point in the second picture.
+/// A point in the second image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LkTrack {
     /// Position, pixels; the last estimate if the point was lost.
     pub xy: [f32; 2],
-    /// Whether to believe it.
+    /// Found, or why not.
     pub status: LkStatus,
     /// Mean absolute difference of the two windows, grey levels; 0 if the point was lost.
     pub residual: f32,
-    /// Smallest eigenvalue of G / 441 on the full picture; 0 if the window lay outside.
+    /// Smallest eigenvalue of G / 441 on the full image; 0 if the window lay outside.
     pub min_eigenvalue: f32,
 }
 
@@ -158,7 +158,7 @@ fn track_with<W: Windows>(
 ) -> Result<Vec<LkTrack>, FeatureError> {
     let mismatch = |what, left, right| Err(FeatureError::SizeMismatch { what, left, right });
     if prev.size() != next.size() {
-        return mismatch("pictures", prev.size(), next.size());
+        return mismatch("images", prev.size(), next.size());
     }
     if prev.levels() != next.levels() {
         return mismatch("numbers of levels", (prev.levels(), 0), (next.levels(), 0));
@@ -178,7 +178,7 @@ fn track_with<W: Windows>(
 
 /// The sums over a window that the loop needs; integers, so every implementation agrees.
 trait Windows {
-    /// Samples of the first picture's window.
+    /// Samples of the first image's window.
     type Template: Default;
     /// Takes the window of `level` at `place`; Σ (dx², dx dy, dy²).
     fn template(level: &LkLevel, place: &Place, template: &mut Self::Template) -> [i64; 3];
@@ -198,10 +198,10 @@ struct Place {
 
 impl Place {
     /// Where a window with its upper left corner at `corner` reads; `None` if that lies more than
-    /// a window before the picture or behind its last pixel (or is NaN).
+    /// a window before the image or behind its last pixel (or is NaN).
     #[allow(
         clippy::cast_possible_truncation,
-        reason = "coordinates near the picture, weights within 0..=2^14"
+        reason = "coordinates near the image, weights within 0..=2^14"
     )]
     fn new(corner: [f32; 2], level: &LkLevel) -> Option<Self> {
         let inside = |v: f32, n: usize| v >= -(WINDOW as f32) && v < n as f32;
@@ -223,7 +223,7 @@ impl Place {
     }
 }
 
-/// From the coarsest level to the full picture.
+/// From the coarsest level to the full image.
 fn track_point<W: Windows>(
     prev: &LkPyramid,
     next: &LkPyramid,
@@ -237,7 +237,7 @@ fn track_point<W: Windows>(
     let mut estimate = at_level(start, top);
     for level in (1..=top).rev() {
         let (from, to) = (prev.level(level), next.level(level));
-        // A level that cannot help leaves the estimate to the next finer one.
+        // A level without a solution keeps the estimate for the next finer one.
         let step = LevelStep::<W>::prepare(from, at_level(point, level), config, template);
         if let Ok(step) = step {
             estimate = step.solve(to, estimate, config).0;
@@ -254,7 +254,7 @@ fn track_point<W: Windows>(
     )
 }
 
-/// The full picture: here failures count.
+/// The full image: here failures are reported.
 fn finish<W: Windows>(
     from: &LkLevel,
     to: &LkLevel,
@@ -276,7 +276,7 @@ fn finish<W: Windows>(
     let (xy, stayed_inside) = step.solve(to, estimate, config);
     let place = Place::new(corner_of(xy), to).filter(|_| stayed_inside);
     let Some(place) = place else {
-        return lost(xy, LkStatus::OutOfPicture, step.min_eigenvalue);
+        return lost(xy, LkStatus::OutOfImage, step.min_eigenvalue);
     };
     let sum = W::absolute_difference(step.template, to, &place);
     let residual = sum as f32 / (32 * WINDOW * WINDOW) as f32;
@@ -300,7 +300,7 @@ fn corner_of(centre: [f32; 2]) -> [f32; 2] {
 }
 
 /// OpenCV's scale of the integer sums. Their products carry 2¹⁰ (intensities and slopes are 32 times
-/// what they stand for), so 2⁻¹⁰ remains: it cancels in the step and is part of the gate (E14).
+/// their values), so 2⁻¹⁰ remains: it cancels in the step and is part of the gate (E14).
 const SUM_SCALE: f32 = 1.0 / (1 << 20) as f32;
 
 /// The normal equations of one level.
@@ -314,14 +314,14 @@ struct LevelStep<'a, W: Windows> {
 }
 
 impl<'a, W: Windows> LevelStep<'a, W> {
-    /// The window of the first picture, unless it lies outside or holds too little texture.
+    /// The window of the first image, unless it lies outside or holds too little texture.
     fn prepare(
         from: &LkLevel,
         point: [f32; 2],
         config: &LkConfig,
         template: &'a mut W::Template,
     ) -> Result<Self, (LkStatus, f32)> {
-        let place = Place::new(corner_of(point), from).ok_or((LkStatus::OutOfPicture, 0.0))?;
+        let place = Place::new(corner_of(point), from).ok_or((LkStatus::OutOfImage, 0.0))?;
         let gram = W::template(from, &place, template);
         let [g11, g12, g22] = gram.map(|sum| sum as f32 * SUM_SCALE);
         let determinant = g11 * g22 - g12 * g12;
@@ -341,7 +341,7 @@ impl<'a, W: Windows> LevelStep<'a, W> {
         }
     }
 
-    /// Steps until they are short, cancel each other, run out or leave the picture; the position
+    /// Steps until they are short, cancel each other, run out or leave the image; the position
     /// and whether it stayed inside.
     fn solve(&self, to: &LkLevel, start: [f32; 2], config: &LkConfig) -> ([f32; 2], bool) {
         let mut corner = corner_of(start);
@@ -362,7 +362,7 @@ impl<'a, W: Windows> LevelStep<'a, W> {
             if dx * dx + dy * dy <= config.epsilon_px * config.epsilon_px {
                 break;
             }
-            // Two steps that undo each other: the answer lies half-way.
+            // Two steps that cancel: the solution lies half-way.
             let cancels = |i: usize| f64::from((delta[i] + previous[i]).abs()) < 0.01;
             if iteration > 0 && cancels(0) && cancels(1) {
                 estimate = [estimate[0] - delta[0] * 0.5, estimate[1] - delta[1] * 0.5];

@@ -1,4 +1,4 @@
-//! [`LkPyramid`]: a picture made ready for tracking, once per frame.
+//! [`LkPyramid`]: an image made ready for tracking, once per frame.
 
 use garad_core::GrayImage;
 use garad_core::pyramid::{halve, reflect_101};
@@ -11,9 +11,9 @@ use crate::error::FeatureError;
 /// last one; 25 leaves room for whole groups of 8 columns and for derivatives.
 const PAD: usize = 25;
 
-/// A picture at several sizes, each with a mirrored border (reflect-101) around it.
+/// An image at several sizes, each with a mirrored border (reflect-101) around it.
 ///
-/// Derivatives are not kept: they are needed in the windows of the first picture alone, and taking
+/// Derivatives are not kept: they are needed in the windows of the first image alone, and taking
 /// them there costs less than reading them from memory.
 ///
 /// # Example
@@ -40,7 +40,7 @@ pub(super) struct LkLevel {
 }
 
 impl LkPyramid {
-    /// The picture and up to `above` levels, each half the size of the one before, as long as
+    /// The image and up to `above` levels, each half the size of the one before, as long as
     /// they are larger than the window of 21 pixels in both directions.
     ///
     /// # Errors
@@ -62,19 +62,19 @@ impl LkPyramid {
         Ok(Self { levels })
     }
 
-    /// How many levels there are, the full picture included.
+    /// How many levels there are, the full image included.
     #[must_use]
     pub fn levels(&self) -> usize {
         self.levels.len()
     }
 
-    /// Columns and rows of the full picture.
+    /// Columns and rows of the full image.
     #[must_use]
     pub fn size(&self) -> (usize, usize) {
         (self.levels[0].width, self.levels[0].height)
     }
 
-    /// The full picture again.
+    /// The full image again.
     #[must_use]
     pub fn image(&self) -> GrayImage {
         let level = &self.levels[0];
@@ -89,7 +89,7 @@ impl LkPyramid {
     }
 }
 
-/// Kept as the picture and the number of levels above it: everything else follows, and takes five
+/// Kept as the image and the number of levels above it: everything else follows, and takes five
 /// times the room.
 impl Serialize for LkPyramid {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
@@ -138,7 +138,7 @@ impl LkLevel {
         &self.pairs[start..]
     }
 
-    /// Whether the pixel lies in the picture, not in its border.
+    /// Whether the pixel lies in the image, not in its border.
     #[inline]
     pub(super) fn contains(&self, x: isize, y: isize) -> bool {
         (0..self.width.cast_signed()).contains(&x) && (0..self.height.cast_signed()).contains(&y)
@@ -150,11 +150,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn borders_mirror_the_picture() {
+    fn borders_mirror_the_image() {
         let image = GrayImage::from_fn(30, 28, |x, y| u8::try_from(7 * x + y).expect("byte"));
         let level = LkLevel::new(&image);
         let pairs = |x, y| [level.pairs_from(x, y)[0], level.pairs_from(x, y)[1]];
-        assert_eq!(pairs(-1, 3), [[10, 3], [3, 10]], "left of the picture");
+        assert_eq!(pairs(-1, 3), [[10, 3], [3, 10]], "left of the image");
         assert_eq!(pairs(28, -1), [[197, 204], [204, 197]], "right and above");
         assert!(
             level.contains(0, 27) && !level.contains(-1, 0) && !level.contains(0, 28),

@@ -83,7 +83,7 @@ fn sample(
 ///
 /// dx = [3 10 3]ᵀ ⊗ [-1 0 1],  dy = [-1 0 1]ᵀ ⊗ [3 10 3]
 ///
-/// on the mirrored picture, and 0 outside of it. |value| ≤ 255 · 16.
+/// on the mirrored image, and 0 outside of it. |value| ≤ 255 · 16.
 fn scharr_at(level: &LkLevel, x: isize, y: isize) -> [i64; 2] {
     if !level.contains(x, y) {
         return [0, 0];
@@ -94,7 +94,7 @@ fn scharr_at(level: &LkLevel, x: isize, y: isize) -> [i64; 2] {
     [smooth_y(1) - smooth_y(-1), smooth_x(1) - smooth_x(-1)]
 }
 
-/// The derivatives of a whole picture, (dx, dy), as the tracker takes them in its windows.
+/// The derivatives of a whole image, (dx, dy), as the tracker takes them in its windows.
 ///
 /// Bit-equal to OpenCV's `Scharr`. Golden: `pyramid/*` (`scharr_x`, `scharr_y`).
 #[must_use]

@@ -63,7 +63,7 @@ macro_rules! tracking_laws {
             }
 
             #[test]
-            fn nothing_moves_in_the_same_picture() {
+            fn nothing_moves_in_the_same_image() {
                 let image = waves(160, 120, [0.0, 0.0]);
                 let points = grid(160, 120);
                 for (found, point) in track(&image, &image, &points, &LkConfig::default())
@@ -127,7 +127,7 @@ macro_rules! tracking_laws {
                 ] {
                     assert_eq!(
                         status(&image, &image, point, &config),
-                        LkStatus::OutOfPicture,
+                        LkStatus::OutOfImage,
                         "{point:?}"
                     );
                 }
@@ -197,7 +197,7 @@ fn spec_min_eigenvalue() {
 }
 
 #[test]
-fn extreme_pictures_do_not_overflow() {
+fn extreme_images_do_not_overflow() {
     // A checkerboard of black and white squares against its negative: the largest sums there are.
     for size in [1, 2, 5, 11, 21] {
         let board = GrayImage::from_fn(64, 64, |x, y| {
@@ -260,7 +260,7 @@ proptest! {
         let prev = noise(w, h, seed);
         let next = GrayImage::from_fn(w, h, |x, y| prev[(x.saturating_sub(1), y)]);
         let mut rng = Rng::new(seed ^ 1);
-        // Some outside the picture.
+        // Some outside the image.
         let points: Vec<[f32; 2]> = (0..40)
             .map(|_| [rng.range(-30.0, w as f64 + 30.0), rng.range(-30.0, h as f64 + 30.0)].map(garad_core::Real::to_f32))
             .collect();

@@ -1,4 +1,4 @@
-//! The 7x7 Gaussian, σ = 2, that a picture goes through before it is described.
+//! The 7x7 Gaussian, σ = 2, applied to an image before descriptors are computed.
 
 use garad_core::pyramid::reflect_101;
 use garad_core::{GrayImage, Image};
@@ -15,7 +15,7 @@ const HALF_TAPS: [u16; 4] = [TAPS[0] / 2, TAPS[1] / 2, TAPS[2] / 2, TAPS[3] / 2]
 /// out(x, y) = (Σᵢⱼ wᵢ wⱼ in(x+i, y+j) + 2¹⁵) >> 16,   i, j = -3..3
 ///
 /// Two passes of integers and one rounding: bit-equal to OpenCV's `GaussianBlur` of a whole
-/// 8-bit picture, which is what ORB-SLAM2 and 3 describe. `out` and `rows` are scratch whose
+/// 8-bit image, which is what ORB-SLAM2 and 3 describe. `out` and `rows` are scratch whose
 /// memory is used again. Golden: `pyramid/*` (`gauss7`).
 pub fn blur_into(image: &GrayImage, rows: &mut Image<u16>, out: &mut GrayImage) {
     let (w, h) = image.size();

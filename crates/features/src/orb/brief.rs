@@ -8,7 +8,7 @@ use crate::descriptor::Descriptor;
 /// Farthest pixel a rotated comparison can reach: round(13 √2) = 18.
 pub const REACH: usize = 18;
 
-/// Describes the patch around (x, y) of a blurred picture.
+/// Describes the patch around (x, y) of a blurred image.
 ///
 /// Each point (px, py) of the pattern is turned by θ and rounded to a pixel, half to even:
 ///
@@ -96,7 +96,7 @@ mod tests {
 
     #[test]
     fn no_angle_leaves_the_patch() {
-        // A 37 x 37 picture is exactly the patch: one pixel more would panic.
+        // A 37 x 37 image is exactly the patch: one pixel more would panic.
         let mut rng = Rng::new(2);
         let noise = GrayImage::from_fn(37, 37, |_, _| u8::try_from(rng.below(256)).expect("byte"));
         let mut farthest = 0;

@@ -1,4 +1,4 @@
-//! Corners of one pyramid level, cell by cell, so that weak texture gets its share.
+//! Corners of one pyramid level, cell by cell, so that weakly textured cells have corners too.
 
 use garad_core::GrayImage;
 

@@ -1,4 +1,4 @@
-//! ORB: keypoints that are found again at another scale and angle, and 256 bits to know them by.
+//! ORB: keypoints with scale and orientation, and their 256-bit descriptors.
 //!
 //! One frame: [`pyramid`](garad_core::pyramid) of 8 levels → [`detect`] (FAST in cells) →
 //! [`octree`] (spread, the best of each cell) → [`orientation`] → [`blur`] → [`brief`].
@@ -17,9 +17,9 @@ use garad_core::{GrayImage, Image, Par};
 use serde::{Deserialize, Serialize};
 
 use crate::descriptor::Descriptor;
-use crate::error::FeatureError;
+use crate::error::{FeatureError, setting};
 
-/// A point of the picture that can be recognised.
+/// A point of the image that can be matched.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Keypoint {
     /// Column in level-0 pixels, as the sensor sees it (distorted).
@@ -37,9 +37,9 @@ pub struct Keypoint {
 /// Keypoints and their descriptors, one each.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Features {
-    /// Where; ordered by level, then row, then column.
+    /// Ordered by level, then row, then column.
     pub keypoints: Vec<Keypoint>,
-    /// What they look like, in the same order.
+    /// Their descriptors, in the same order.
     pub descriptors: Vec<Descriptor>,
 }
 
@@ -111,26 +111,15 @@ impl OrbExtractor {
     /// [`FeatureError::BadSetting`]: no levels or more than 255, a scale that is not above 1, a
     /// cell or threshold of 0, or `min_threshold` above `threshold`.
     pub fn new(config: OrbConfig) -> Result<Self, FeatureError> {
-        let bad = |setting, value, expected| {
-            Err(FeatureError::BadSetting {
-                setting,
-                value,
-                expected,
-            })
-        };
-        if !(1..=255).contains(&config.levels) {
-            return bad("levels", config.levels as f64, "1 to 255");
-        }
-        if !(config.scale > 1.0 && config.scale.is_finite()) {
-            return bad("scale", f64::from(config.scale), "a finite number above 1");
-        }
-        if config.cell_px == 0 {
-            return bad("cell_px", 0.0, "at least 1");
-        }
-        if config.min_threshold == 0 || config.min_threshold > config.threshold {
-            let expected = "at least 1 and at most threshold";
-            return bad("min_threshold", f64::from(config.min_threshold), expected);
-        }
+        let (levels, scale, least) = (config.levels, config.scale, config.min_threshold);
+        let valid = (1..=255).contains(&levels);
+        setting("levels", levels as f64, "1 to 255", valid)?;
+        let valid = scale > 1.0 && scale.is_finite();
+        setting("scale", f64::from(scale), "a finite number above 1", valid)?;
+        setting("cell_px", 0.0, "at least 1", config.cell_px > 0)?;
+        let expected = "at least 1 and at most threshold";
+        let valid = (1..=config.threshold).contains(&least);
+        setting("min_threshold", f64::from(least), expected, valid)?;
         Ok(Self {
             config,
             scales: level_scales(config.scale, config.levels),
@@ -145,7 +134,7 @@ impl OrbExtractor {
         &self.config
     }
 
-    /// From now on, looks for about so many keypoints.
+    /// Sets the number of keypoints wanted from the next image on.
     pub fn look_for(&mut self, features: usize) {
         if features != self.config.features {
             self.config.features = features;
@@ -231,7 +220,7 @@ impl Level {
             self.features.keypoints.push(Keypoint {
                 x: x as f32 * scale,
                 y: y as f32 * scale,
-                level: u8::try_from(level).unwrap_or(u8::MAX),
+                level: u8::try_from(level).expect("at most 255 levels, checked by new"),
                 angle_deg,
                 response: f32::from(corner.score),
             });
@@ -300,7 +289,7 @@ mod tests {
             };
             OrbExtractor::new(config).expect("valid")
         };
-        let expected = [60, 120].map(|n| with(n).extract(&image, Par::Seq).expect("a picture"));
+        let expected = [60, 120].map(|n| with(n).extract(&image, Par::Seq).expect("an image"));
         assert!(
             expected[1].keypoints.len() > expected[0].keypoints.len() + 30,
             "more"
@@ -308,7 +297,7 @@ mod tests {
         let mut changing = with(60);
         for (n, which) in [(120, 1), (60, 0)] {
             changing.look_for(n);
-            let found = changing.extract(&image, Par::Seq).expect("a picture");
+            let found = changing.extract(&image, Par::Seq).expect("an image");
             assert!(found == expected[which], "{n} keypoints");
         }
     }
@@ -405,43 +394,26 @@ mod tests {
     }
 
     #[test]
-    fn bad_settings_and_empty_pictures_are_named() {
-        let bad = |config: OrbConfig| match OrbExtractor::new(config) {
-            Err(FeatureError::BadSetting { setting, .. }) => setting,
-            other => panic!("expected a bad setting, got {other:?}"),
-        };
+    fn bad_settings_and_empty_images_are_named() {
         let good = OrbConfig::default();
-        assert_eq!(bad(OrbConfig { levels: 0, ..good }), "levels");
-        assert_eq!(
-            bad(OrbConfig {
-                levels: 256,
-                ..good
-            }),
-            "levels"
-        );
-        assert_eq!(bad(OrbConfig { scale: 1.0, ..good }), "scale");
-        assert_eq!(
-            bad(OrbConfig {
-                scale: f32::NAN,
-                ..good
-            }),
-            "scale"
-        );
-        assert_eq!(bad(OrbConfig { cell_px: 0, ..good }), "cell_px");
-        assert_eq!(
-            bad(OrbConfig {
-                min_threshold: 0,
-                ..good
-            }),
-            "min_threshold"
-        );
-        assert_eq!(
-            bad(OrbConfig {
-                min_threshold: 21,
-                ..good
-            }),
-            "min_threshold"
-        );
+        type Break = fn(&mut OrbConfig);
+        let breaks: [(&str, Break); 7] = [
+            ("levels", |c| c.levels = 0),
+            ("levels", |c| c.levels = 256),
+            ("scale", |c| c.scale = 1.0),
+            ("scale", |c| c.scale = f32::NAN),
+            ("cell_px", |c| c.cell_px = 0),
+            ("min_threshold", |c| c.min_threshold = 0),
+            ("min_threshold", |c| c.min_threshold = 21),
+        ];
+        for (name, spoil) in breaks {
+            let mut config = good;
+            spoil(&mut config);
+            match OrbExtractor::new(config) {
+                Err(FeatureError::BadSetting { setting, .. }) => assert_eq!(setting, name),
+                other => panic!("{name}: {other:?}"),
+            }
+        }
         let mut orb = OrbExtractor::new(good).expect("valid");
         let empty = orb.extract(&GrayImage::default(), Par::Seq);
         assert_eq!(

@@ -1,4 +1,4 @@
-//! Spreading keypoints over a picture with a quad-tree, the best of each leaf.
+//! Spreading keypoints over an image with a quad-tree, the best of each leaf.
 //!
 //! ORB-SLAM's scheme (Mur-Artal & Tardós 2017): start with about square cells, split every cell
 //! with more than one corner into four until there are as many cells as wanted features, then
@@ -123,7 +123,7 @@ impl Tree<'_> {
     #[allow(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
-        reason = "cell edges in f32 as in ORB-SLAM, all inside the picture"
+        reason = "cell edges in f32 as in ORB-SLAM, all inside the image"
     )]
     fn roots(&mut self, width: usize, height: usize) -> Vec<Node> {
         let count = ((width as f32 / height as f32).round() as usize).max(1);
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lone_corner_and_the_best_of_a_crowd() {
+    fn one_corner_and_the_best_of_many() {
         assert!(distribute(&[], (10, 10), 5).is_empty(), "nothing");
         assert_eq!(
             distribute(&[corner(3, 4, 9)], (10, 10), 5),

@@ -12,7 +12,7 @@ pub(crate) const HALF_WIDTH: [usize; RADIUS + 1] =
 
 /// First moments of the disc around (x, y): m10 = Σ u I, m01 = Σ v I.
 ///
-/// Integers, so the sum has no order. The disc lies inside the picture: 15 ≤ x < w - 15, same
+/// Integers, so the sum has no order. The disc lies inside the image: 15 ≤ x < w - 15, same
 /// for y.
 ///
 /// # Panics
@@ -40,7 +40,7 @@ pub fn moments(image: &GrayImage, x: usize, y: usize) -> (i32, i32) {
 /// calls `fastAtan2`; the largest error is 0.0096°. 0 for (0, 0).
 ///
 /// In f32 with every operation rounded (no fused multiply-add): bit-equal to OpenCV's scalar
-/// code. Descriptors depend on these bits, which is why a better arctangent would be a worse one.
+/// code. Descriptors depend on these bits, so a more accurate arctangent cannot replace it.
 #[must_use]
 #[allow(
     clippy::cast_possible_truncation,
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn angles_turn_with_the_picture() {
+    fn angles_turn_with_the_image() {
         // Bright to the right: 0°; below (y grows downwards): 90°.
         let right = GrayImage::from_fn(31, 31, |x, _| if x > 15 { 200 } else { 10 });
         let below = GrayImage::from_fn(31, 31, |_, y| if y > 15 { 200 } else { 10 });

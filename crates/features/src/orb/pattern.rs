@@ -1,8 +1,8 @@
 //! The 256 point pairs an ORB descriptor compares.
 //!
 //! Learned by Rublee, Rabaud, Konolige, Bradski, "ORB: an efficient alternative to SIFT or SURF",
-//! ICCV 2011, as published in OpenCV (Apache-2.0) for patches of 31 pixels. The numbers are data:
-//! any other table gives descriptors that match nobody else's.
+//! ICCV 2011, as published in OpenCV (Apache-2.0) for patches of 31 pixels. Descriptors of another
+//! table cannot be compared with these.
 
 /// (x₀, y₀, x₁, y₁) per comparison, pixels from the keypoint before rotation, |coordinate| ≤ 13.
 #[rustfmt::skip]

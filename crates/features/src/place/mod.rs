@@ -1,27 +1,27 @@
-//! [`PlaceIndex`]: which keyframes show what this picture shows?
+//! [`PlaceIndex`]: place recognition, the keyframes most similar to an image.
 //!
 //! A descriptor is turned into a few words by reading some of its bits: each table has its own
-//! choice of bits, and what they spell is the word. A picture becomes a list of words with weights,
-//! and pictures of one place share many rare words. Each word keeps a list of the keyframes that
+//! choice of bits, and their values are the word. An image becomes a list of words with weights,
+//! and images of one place share many rare words. Each word keeps a list of the keyframes that
 //! have it, so that a query looks only at those.
 //!
 //! Two descriptors of one corner that differ in k of 256 bits share the word of a table of b bits with
 //! probability (1 - k/256)ᵇ: about 1/3 for k = 20 and b = 14, but 1/1000 for the k = 100 of two
 //! different corners. So most words of a corner are lost from one view to the next, and those
-//! that stay mean something.
+//! that remain are significant.
 //!
-//! The weight of word i in a picture is its number there times its rarity, made to sum to 1 over the
-//! picture:
+//! The weight of word i in an image is its number there times its rarity, made to sum to 1 over the
+//! image:
 //!
 //! v_i ∝ n_i ln(1 + N / N_i)                                                              (E19)
 //!
-//! with n_i descriptors of the picture and N_i of N keyframes that have the word. The score of two
-//! pictures is 1 - ½ Σ |v_i - w_i| = Σ min(v_i, w_i): 0 if they share nothing, 1 if they are alike.
+//! with n_i descriptors of the image and N_i of N keyframes that have the word. The score of two
+//! images is 1 - ½ Σ |v_i - w_i| = Σ min(v_i, w_i): 0 if they share nothing, 1 if they are alike.
 //!
 //! Source: Indyk, Motwani 1998 (words from sampled bits); Sivic, Zisserman 2003 (weights, lists);
 //! Nistér, Stewénius 2006 (score). A vocabulary tree (Gálvez-López, Tardós 2012), grown from the
-//! run's own keyframes, was tried in place of sampled bits on 390 pictures of two rooms, one with
-//! people walking about: keyframes every 30 pictures, 195 pictures asked for, 176 of them also
+//! run's own keyframes, was tried in place of sampled bits on 390 images of two rooms, one with
+//! people walking about: keyframes every 30 images, 195 images asked for, 176 of them also
 //! without the keyframes around them but with another view of the same place.
 //!
 //! | words | nearest keyframe first | another view first | learning |
@@ -42,14 +42,14 @@ use garad_core::{KeyframeId, Rng};
 use serde::{Deserialize, Serialize};
 
 use crate::descriptor::Descriptor;
-use crate::error::FeatureError;
+use crate::error::{FeatureError, setting};
 
 /// Settings of a [`PlaceIndex`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PlaceConfig {
-    /// Words of a descriptor. More make scores steadier; time and memory grow alike.
+    /// Words of a descriptor. More reduce the noise of scores; time and memory grow in proportion.
     pub tables: usize,
-    /// Bits of a word. More make words more telling, and fewer of them survive a change of view.
+    /// Bits of a word. More make words more distinctive, but fewer remain after a change of view.
     pub bits: usize,
 }
 
@@ -81,17 +81,17 @@ struct Posting {
     count: u32,
 }
 
-/// Keyframes by what they look like.
+/// An index of keyframes by the words of their descriptors.
 ///
 /// # Example
 /// ```
 /// use garad_core::{KeyframeId, Rng};
 /// use garad_features::{Descriptor, PlaceConfig, PlaceIndex};
 /// let mut rng = Rng::new(7);
-/// let mut picture = || -> Vec<_> {
+/// let mut image = || -> Vec<_> {
 ///     (0..200).map(|_| Descriptor([0; 4].map(|_| rng.next_u64()))).collect()
 /// };
-/// let (kitchen, desk) = (picture(), picture());
+/// let (kitchen, desk) = (image(), image());
 /// let mut places = PlaceIndex::new(PlaceConfig::default(), 0).unwrap();
 /// places.add(KeyframeId(0), &kitchen);
 /// places.add(KeyframeId(1), &desk);
@@ -123,21 +123,13 @@ impl PlaceIndex {
     /// # Errors
     /// [`FeatureError::BadSetting`]: no table, no bits or more than 16, or more than 256 bits in all.
     pub fn new(config: PlaceConfig, seed: u64) -> Result<Self, FeatureError> {
-        let bad = |setting, value: usize, expected| {
-            Err(FeatureError::BadSetting {
-                setting,
-                value: value as f64,
-                expected,
-            })
-        };
         let PlaceConfig { tables, bits } = config;
-        if !(1..=MAX_BITS).contains(&bits) {
-            return bad("bits", bits, "1 to 16");
-        }
+        let valid = (1..=MAX_BITS).contains(&bits);
+        setting("bits", bits as f64, "1 to 16", valid)?;
         let all = Descriptor::BITS as usize;
-        if !(1..=all / bits).contains(&tables) {
-            return bad("tables", tables, "at least 1, with tables x bits up to 256");
-        }
+        let expected = "at least 1, with tables x bits up to 256";
+        let valid = (1..=all / bits).contains(&tables);
+        setting("tables", tables as f64, expected, valid)?;
         // The bits of a descriptor in random order (Fisher-Yates), dealt to the tables.
         let mut order: Vec<usize> = (0..all).collect();
         let mut rng = Rng::new(seed);
@@ -168,7 +160,7 @@ impl PlaceIndex {
         self.slot_of.is_empty()
     }
 
-    /// Takes a keyframe in; one of the same id is replaced.
+    /// Adds a keyframe; one of the same id is replaced.
     ///
     /// Rarities are counted anew at the 1st, 2nd, 4th, 8th, ... keyframe, so that scores of one query
     /// always rest on the same ones. Where keyframes are removed, too, it is done whenever there have been as
@@ -191,7 +183,7 @@ impl PlaceIndex {
         }
     }
 
-    /// Forgets a keyframe; `false` if there is none of this id.
+    /// Removes a keyframe; `false` if there is none of this id.
     pub fn remove(&mut self, id: KeyframeId) -> bool {
         match self.slot_of.remove(&id) {
             Some(slot) => {
@@ -202,10 +194,10 @@ impl PlaceIndex {
         }
     }
 
-    /// The keyframes most like a picture, best first, the older first among equals: at most `max`,
+    /// The keyframes most like an image, best first, the older first among equals: at most `max`,
     /// none of those that `exclude` names, none that share no word.
     ///
-    /// A score depends on the number of words and on how alike all pictures are; compare it with other
+    /// A score depends on the number of words and on how alike all images are; compare it with other
     /// scores ([`PlaceIndex::score`] of keyframes known to be near) and not with a constant.
     ///
     /// # Numerics
@@ -241,7 +233,7 @@ impl PlaceIndex {
         found
     }
 
-    /// The score of one keyframe against a picture, as a query gives it; `None` if there is none of
+    /// The score of one keyframe against an image, as a query gives it; `None` if there is none of
     /// this id.
     #[must_use]
     pub fn score(&self, id: KeyframeId, descriptors: &[Descriptor]) -> Option<f64> {
@@ -260,7 +252,7 @@ impl PlaceIndex {
         Some(score)
     }
 
-    /// The words of a picture and how often each occurs, ascending.
+    /// The words of an image and how often each occurs, ascending.
     fn count(&self, descriptors: &[Descriptor]) -> Vec<(usize, u32)> {
         let mut words = Vec::with_capacity(descriptors.len() * self.tables.len());
         for (table, bits) in self.tables.iter().enumerate() {
@@ -275,12 +267,12 @@ impl PlaceIndex {
         let runs = words.chunk_by(|a, b| a == b);
         #[allow(
             clippy::cast_possible_truncation,
-            reason = "a picture has fewer than 2^32 descriptors"
+            reason = "an image has fewer than 2^32 descriptors"
         )]
         runs.map(|run| (run[0], run.len() as u32)).collect()
     }
 
-    /// What makes the weights of a picture sum to 1 (E19); 0 for one without words.
+    /// The factor that makes the weights of an image sum to 1 (E19); 0 for one without words.
     fn scale_of(&self, counts: &[(usize, u32)]) -> f64 {
         let weights = counts
             .iter()
@@ -289,7 +281,7 @@ impl PlaceIndex {
         if sum > 0.0 { 1.0 / sum } else { 0.0 }
     }
 
-    /// Drops what was removed, closes the gaps it left among the slots, and counts rarities anew.
+    /// Drops removed keyframes, closes the gaps among the slots, and counts rarities anew.
     fn renew(&mut self) {
         let mut live: Vec<(&mut u32, usize)> = (self.slot_of.values_mut())
             .map(|slot| {
@@ -313,7 +305,7 @@ impl PlaceIndex {
                 }
                 None => false,
             });
-            // A word that nobody has is as rare as one that a single keyframe has.
+            // A word of no keyframe counts as one of a single keyframe.
             *rarity = libm::log1p(n as f64 / list.len().max(1) as f64);
             for posting in list {
                 sums[posting.slot as usize] += f64::from(posting.count) * *rarity;

@@ -86,7 +86,7 @@ fn words_by_hand() {
     }
 }
 
-/// Two keyframes, three words, one table that reads what tells them apart.
+/// Two keyframes, three words, one table that reads the bits in which they differ.
 #[test]
 fn scores_by_hand() {
     let config = PlaceConfig {
@@ -135,7 +135,7 @@ fn planted_places_are_found_again() {
     assert_eq!(first, 80, "all of them come first");
 }
 
-/// A place that nobody has seen scores lower than all that somebody has.
+/// Unknown places score lower than all known ones.
 #[test]
 fn unknown_places_score_low() {
     let mut world = World::new(5);
@@ -189,7 +189,7 @@ fn answers_are_sorted_limited_and_exclude() {
     assert_eq!(index.score(id(20), &places[7]), None, "no such keyframe");
     assert!(
         index.query(&[], 5, |_| false).is_empty(),
-        "a picture without corners"
+        "an image without corners"
     );
     let empty = PlaceIndex::new(PlaceConfig::default(), 1).unwrap();
     assert!(
@@ -251,7 +251,7 @@ fn repetition_changes_nothing_and_a_seed_does() {
 }
 
 #[test]
-fn settings_that_cannot_be_are_named() {
+fn invalid_settings_are_named() {
     let error_of = |tables, bits| {
         let config = PlaceConfig { tables, bits };
         PlaceIndex::new(config, 0).unwrap_err().to_string()

@@ -302,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn what_leaves_the_pose_open_has_none() {
+    fn degenerate_points_have_no_pose() {
         let [x, y, z] = [Vector3::x(), Vector3::y(), Vector3::z() * 3.0];
         let seen = [z, z + x, z + y];
         assert!(!p3p(&seen, &seen).is_empty(), "a proper triangle");

@@ -1,4 +1,4 @@
-//! Lost cameras: planted poses among wrong matches, and input that allows no pose.
+//! Known poses with wrong matches, and input that allows no pose.
 
 use super::*;
 use crate::reprojection::DepthObservation;
@@ -51,7 +51,7 @@ fn half_of_the_matches_may_be_wrong() {
         assert!(right >= 55, "seed {seed}: {right} of 60 found again");
         assert!(
             result.n_inliers - right <= 2,
-            "seed {seed}: wrong ones believed"
+            "seed {seed}: outliers accepted"
         );
     }
 }
@@ -79,7 +79,7 @@ fn threads_change_nothing() {
 }
 
 #[test]
-fn no_pose_is_an_answer() {
+fn no_pose_is_a_result() {
     let (_, all) = matches(5, 60, 60, 1.0);
     assert_eq!(solve(&all), None, "nothing but wrong matches");
     assert_eq!(solve(&[]), None, "nothing");
