@@ -29,3 +29,8 @@ pub mod runner;
 pub mod session;
 pub mod stopwatch;
 pub mod trace;
+
+/// The program in the README compiles and runs.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct ReadmeDoctests;
