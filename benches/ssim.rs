@@ -6,12 +6,12 @@
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use garad_core::{Image, MaskImage, Par, Real, Rng};
 use garad_raster::RasterError;
-use garad_raster::losses::{self, PictureLoss};
+use garad_raster::losses::{self, ImageLoss};
 use std::hint::black_box;
 
 type Picture = Image<[f32; 3]>;
 type Loss =
-    fn(&Picture, &Picture, f64, Option<&MaskImage>, Par) -> Result<PictureLoss<f32>, RasterError>;
+    fn(&Picture, &Picture, f64, Option<&MaskImage>, Par) -> Result<ImageLoss<f32>, RasterError>;
 
 /// Noise of all brightnesses, and the same a little off.
 fn pictures(width: usize, height: usize) -> (Picture, Picture) {

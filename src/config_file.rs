@@ -52,7 +52,9 @@ fn rename(given: &mut toml::Table, old: &str, new: &str) {
         return;
     };
     if let Some(value) = table.remove(old_key) {
-        tracing::warn!("the configuration key {old} is {new} since 0.2.0; the old name is read for one version more");
+        tracing::warn!(
+            "the configuration key {old} is {new} since 0.2.0; the old name is read for one version more"
+        );
         table.insert(new_key.to_owned(), value);
     }
 }
@@ -134,7 +136,11 @@ mod tests {
         expected.labels.mask_freed_space = false;
         expected.labels.patch_motion.min_residual_ratio = 2.0;
         expected.labels.patch_motion.min_residual_gain = 3.0;
-        assert_eq!(parse(text).expect("valid"), expected, "all the renamed keys");
+        assert_eq!(
+            parse(text).expect("valid"),
+            expected,
+            "all the renamed keys"
+        );
         let by_alias: Config = toml::from_str(text).expect("valid");
         assert_eq!(by_alias.insertion, expected.insertion, "serde alone, too");
         let both = "[seed]\nopacity = 0.5\n[insertion]\nopacity = 0.6\n";

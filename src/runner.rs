@@ -9,7 +9,9 @@ use garad_eval::{Confusion, RunLabels};
 use garad_slam::LabelledFrame;
 use garad_slam::mapping::train::TrainStep;
 use garad_slam::session::{SectionReader, SectionWriter};
-use garad_slam::{Config, FrameInput, FrameReport, ReplayedFrame, SessionError, Slam, TrackingState};
+use garad_slam::{
+    Config, FrameInput, FrameReport, ReplayedFrame, SessionError, Slam, TrackingState,
+};
 
 use crate::packed_labels::PackedLabels;
 use crate::progress::Progress;

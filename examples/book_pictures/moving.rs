@@ -1,5 +1,6 @@
 //! Chapters 5 and 7: flow that fits and flow that does not, and a field of beliefs.
 
+use garad::core::chi_square::CHI2_2DOF_95;
 use garad::core::{Par, Real, Rng};
 use garad::crf::{Crf, Node};
 use garad::features::flow::{FlowConfig, FlowEstimator, FlowForm, FlowPoint, verify_flow};
@@ -76,9 +77,10 @@ pub(crate) fn flow_check() -> Drawn {
     ];
     for (title, form, estimator, left, reach) in forms {
         let config = FlowConfig {
-            form,
+            model: form,
             estimator,
             covariance_floor_px2: 0.04,
+            chi2: CHI2_2DOF_95,
             ..FlowConfig::default()
         };
         let checked = verify_flow(&still, &movers, &config)?;

@@ -2,10 +2,12 @@
 //!
 //! Everything above this crate shares these types, and this crate knows of nothing above it.
 //! Reading order: [`real`] (where every transcendental function comes from) → [`so3`], [`se3`]
-//! (poses) → [`camera`] (projection, distortion) → [`image`], [`undistort`], [`pyramid`] → [`gaussian`], [`sh`]
-//! (the map) → [`par`] (threads that never change a result).
+//! (poses) → [`camera`] (projection, distortion) → [`image`], [`undistort`], [`pyramid`] → [`gaussian`], [`sh`],
+//! [`sh_rotation`] (the map) → [`par`] (threads that never change a result). [`chi_square`] holds the
+//! thresholds of every gate.
 
 pub mod camera;
+pub mod chi_square;
 pub mod exp;
 pub mod gaussian;
 pub mod ids;
@@ -16,7 +18,7 @@ pub mod real;
 pub mod rng;
 pub mod se3;
 pub mod sh;
-mod sh_rotation;
+pub mod sh_rotation;
 pub mod so3;
 pub mod trajectory;
 pub mod undistort;

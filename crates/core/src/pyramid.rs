@@ -137,7 +137,7 @@ pub fn halve(image: &GrayImage) -> GrayImage {
 /// [`halve`] for pictures of numbers, channel by channel, without rounding to integers.
 ///
 /// Both passes add as ((a + e) + 4 (b + d)) + 6 c over the taps a..e; the sum is scaled by 1/256
-/// once at the end. Used for the training pyramid (paper eq. 16).
+/// once at the end. One level of the pyramid GP of eq. 16.
 ///
 /// # Example
 /// ```

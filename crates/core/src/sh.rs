@@ -5,7 +5,6 @@
 //! and kept in the signs below.
 
 use crate::Real;
-pub use crate::sh_rotation::ShRotation;
 
 /// Y₀₀ = ½ √(1/π): colour = 0.5 + Y₀₀ · f_dc.
 pub const SH_C0: f64 = 0.282_094_791_773_878_1;

@@ -37,7 +37,8 @@ const DIRECTIONS: [[f64; 3]; 7] = [
 /// A lobe along x, turned by 90° about z, is a lobe along y:
 /// ```
 /// use garad_core::So3;
-/// use garad_core::sh::{ShRotation, color};
+/// use garad_core::sh::color;
+/// use garad_core::sh_rotation::ShRotation;
 /// use nalgebra::Vector3;
 /// let quarter = So3::exp(&Vector3::new(0.0, 0.0, std::f64::consts::FRAC_PI_2));
 /// let mut sh = [[0.0_f64; 3], [0.0; 3], [0.0; 3], [-0.5; 3]];
@@ -96,8 +97,8 @@ fn matrix<const N: usize>(degree: usize, back: &So3) -> SMatrix<f64, N, N> {
             there[(i, k)] = b[k];
         }
     }
-    // The directions are constants with an inverse: this is never the identity in its place.
-    here.try_inverse().unwrap_or_else(SMatrix::identity) * there
+    let inverse = here.try_inverse();
+    inverse.expect("the functions of a degree are independent on the constant directions") * there
 }
 
 fn turn_degree<T: Real, const N: usize>(m: &SMatrix<f64, N, N>, sh: Option<&mut [[T; 3]]>) {

@@ -1,6 +1,6 @@
-//! [`Node`]: what a Gaussian brings into the field, as plain numbers.
+//! [`Node`]: a Gaussian in the field, with the four cues of eq. 2.
 //!
-//! The paper's four assumptions (sec. III-A): dynamic Gaussians have larger reprojection errors,
+//! The paper's assumptions (sec. III-A): dynamic Gaussians have larger reprojection errors,
 //! vary more in depth, are observed less often, and lie further from their epipolar lines. Each is
 //! one number here; any of them may be missing.
 
@@ -8,7 +8,7 @@ use nalgebra::{Vector2, Vector3};
 
 use crate::error::CrfError;
 
-/// The evidence about one Gaussian. The paper's letters: α reprojection, β depth, γ observations,
+/// The cues of one Gaussian. The paper's letters: α reprojection, β depth, γ observations,
 /// δ epipolar.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Cues {
@@ -30,11 +30,11 @@ pub struct Cues {
 pub struct Node {
     /// Centre in the world, metres.
     pub p_world: Vector3<f64>,
-    /// Where the current keyframe sees it, px; may lie outside of the picture.
+    /// Where the current keyframe sees it, px; may lie outside of the image.
     pub uv_px: Option<Vector2<f64>>,
-    /// The evidence.
+    /// Its cues.
     pub cues: Cues,
-    /// Belief of being dynamic that an earlier run gave it, in [0, 1].
+    /// Belief of being dynamic from an earlier run, in [0, 1].
     pub previous: Option<f64>,
 }
 
@@ -81,8 +81,8 @@ impl Node {
 /// Noise of a depth sensor that triangulates (Kinect, RealSense, Xtion): σ(z) = c z².
 ///
 /// Such a sensor measures a disparity d = b f / z with the same noise everywhere, and
-/// dz = z² / (b f) dd. A residual of 3 cm is nothing at 5 m and a step aside at 1 m; in units of
-/// σ(z) both are what they are. The floor stands for quantisation and rolling shutter close up.
+/// dz = z² / (b f) dd. A residual of 3 cm is less than σ at 5 m and 20 σ at 1 m. The floor stands for
+/// quantisation and rolling shutter at short range.
 ///
 /// # Example
 /// ```

@@ -1,8 +1,8 @@
-//! What can be wrong with the input of this crate.
+//! Errors of this crate.
 
 use thiserror::Error;
 
-/// Input this crate cannot work with.
+/// Invalid input.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum CrfError {
@@ -38,7 +38,7 @@ pub enum CrfError {
         /// What it should be.
         expected: usize,
     },
-    /// More nodes than all labellings of which can be looked at.
+    /// Too many nodes to visit all labellings.
     #[error("{got} nodes; at most {limit} can be enumerated")]
     TooManyNodes {
         /// How many came.

@@ -1,15 +1,30 @@
-//! Eq. 5 and 6: how alike two nodes are.
-//!
-//! Two labels that differ cost Σ ω^m k^m (eq. 4 with the Potts model): nothing for strangers, ω for
-//! twins. The first kernel compares what was measured about the nodes, the second where they are.
+//! The pairwise potential (eq. 4) and its two kernels: similar features (eq. 5), nearby positions (eq. 6).
 
-use crate::config::{Distance, KernelConfig, PositionTerms};
+use garad_core::Label;
+
+use crate::config::KernelConfig;
 use crate::cues::Node;
+use crate::readings::{Distance, PositionTerms};
 
-/// k¹ = exp(-(αᵢ - αⱼ)² / 2σ_α² - (γᵢ - γⱼ)² / 2σ_γ²), eq. 5: α the mean reprojection error in px,
+/// Eq. 4: ψ_p(xᵢ, xⱼ) = μ(xᵢ, xⱼ) Σₘ ω^m k^m(fᵢ, fⱼ), nat. Mean field takes its expectation.
+#[must_use]
+pub fn pairwise(x: [Label; 2], f: [&Node; 2], config: &KernelConfig) -> f64 {
+    let ([x_i, x_j], [f_i, f_j]) = (x, f);
+    potts(x_i, x_j)
+        * (config.feature_weight * feature(f_i, f_j, config)
+            + config.position_weight * position(f_i, f_j, config))
+}
+
+/// μ of eq. 4, the Potts model: 1 for different labels, 0 for equal ones.
+#[must_use]
+pub fn potts(x_i: Label, x_j: Label) -> f64 {
+    f64::from(u8::from(x_i != x_j))
+}
+
+/// Eq. 5: k¹ = exp(-(αᵢ - αⱼ)² / 2σ_α² - (γᵢ - γⱼ)² / 2σ_γ²), α the mean reprojection error in px,
 /// γ the number of observations.
 ///
-/// 0 if one of the two lacks one of these: an untagged Gaussian is judged by its place alone.
+/// 0 if one of the two lacks one of these: an untagged Gaussian has the position kernel alone.
 ///
 /// # Example
 /// ```
@@ -37,7 +52,7 @@ pub(crate) fn features(node: &Node) -> Option<(f64, u32)> {
     Some((node.cues.reproj_px?, node.cues.observations?))
 }
 
-/// k² = exp(-|Pᵢ - Pⱼ|² / 2σ_P² - |pᵢ - pⱼ|² / 2σ_p²), eq. 6: P in metres, p in px.
+/// Eq. 6: k² = exp(-|Pᵢ - Pⱼ|² / 2σ_P² - |pᵢ - pⱼ|² / 2σ_p²), P in metres, p in px.
 ///
 /// The paper prints the distances without squares; [`Distance::Linear`] is that reading.
 ///
@@ -50,13 +65,13 @@ pub(crate) fn features(node: &Node) -> Option<(f64, u32)> {
 ///     uv_px: Some(Vector2::new(u, 240.0)),
 ///     ..Node::default()
 /// };
-/// let (a, b) = (node(0.0, 300.0), node(0.5, 318.0));
+/// let (a, b) = (node(0.0, 300.0), node(0.2, 330.0));
 /// // One σ apart in each: exp(-1/2 - 1/2).
 /// let mut config = KernelConfig::default();
 /// assert!((kernel::position(&a, &b, &config) - 0.367_879).abs() < 1e-6);
-/// // As printed: exp(-0.5 / (2 · 0.25) - 18 / (2 · 324)) = exp(-1 - 1/36).
+/// // As printed: exp(-0.2 / (2 · 0.04) - 30 / (2 · 900)) = exp(-5/2 - 1/60).
 /// config.distance = Distance::Linear;
-/// assert!((kernel::position(&a, &b, &config) - 0.357_801).abs() < 1e-6);
+/// assert!((kernel::position(&a, &b, &config) - 0.080_728).abs() < 1e-6);
 /// ```
 #[must_use]
 pub fn position(a: &Node, b: &Node, config: &KernelConfig) -> f64 {
@@ -95,7 +110,7 @@ mod tests {
 
     #[test]
     fn pairs_without_a_pixel() {
-        let (seen, unseen) = (node(0.0, Some([10.0, 20.0])), node(0.5, None));
+        let (seen, unseen) = (node(0.0, Some([10.0, 20.0])), node(0.2, None));
         let k = |terms| {
             let config = KernelConfig {
                 terms,
@@ -121,11 +136,34 @@ mod tests {
             terms: PositionTerms::Pixel,
             ..KernelConfig::default()
         };
-        let (near, far) = (node(0.0, Some([0.0, 0.0])), node(9.0, Some([18.0, 0.0])));
+        let (near, far) = (node(0.0, Some([0.0, 0.0])), node(9.0, Some([30.0, 0.0])));
         assert!(
             (position(&near, &far, &config) - libm::exp(-0.5)).abs() < 1e-15,
             "one σ"
         );
+    }
+
+    #[test]
+    fn different_labels_cost_the_weighted_kernels() {
+        use garad_core::Label::{Dynamic, Static};
+        let mut a = node(0.0, Some([10.0, 20.0]));
+        a.cues.reproj_px = Some(1.0);
+        a.cues.observations = Some(3);
+        let mut b = node(0.2, Some([40.0, 20.0]));
+        b.cues.reproj_px = Some(1.6);
+        b.cues.observations = Some(3);
+        // One σ apart in α, in metres and in px: 1 exp(-1/2) + 3 exp(-1/2 - 1/2).
+        let cost = libm::exp(-0.5) + 3.0 * libm::exp(-1.0);
+        let config = KernelConfig::default();
+        for (x, expected) in [
+            ([Static, Dynamic], cost),
+            ([Dynamic, Static], cost),
+            ([Static, Static], 0.0),
+            ([Dynamic, Dynamic], 0.0),
+        ] {
+            let got = pairwise(x, [&a, &b], &config);
+            assert!((got - expected).abs() < 1e-15, "{x:?}: {got}");
+        }
     }
 
     #[test]
@@ -143,12 +181,12 @@ mod tests {
         lacking.cues.observations = None;
         assert!(
             (feature(&full, &full, &config) - 1.0).abs() < 1e-15,
-            "twins"
+            "equal features"
         );
-        assert!(feature(&full, &lacking, &config) == 0.0, "stranger");
         assert!(
-            feature(&lacking, &lacking, &config) == 0.0,
-            "even to itself"
+            feature(&full, &lacking, &config) == 0.0,
+            "one lacks a feature"
         );
+        assert!(feature(&lacking, &lacking, &config) == 0.0, "both lack it");
     }
 }

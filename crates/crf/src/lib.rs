@@ -1,20 +1,27 @@
 //! Which Gaussians move: cues, unary terms and a dense conditional random field by mean field.
 //!
-//! A person walks through the room. Each Gaussian on them reprojects badly, jumps in depth, is seen
-//! by few keyframes and leaves its epipolar lines; but so does, now and then, one on the wall. Where
-//! they lie and how alike they are settles the matter: the paper's eq. 1 gives every labelling an energy,
+//! Gaussians on a person who walks through the room have large reprojection errors, jump in depth, are seen
+//! by few keyframes and leave their epipolar lines; some on a wall do so too. Their positions and the
+//! similarity of their features separate the two. The paper's eq. 1 gives every labelling an energy,
 //!
-//! E(X) = Σᵢ ψᵢ(xᵢ) + Σ_{i<j} [xᵢ ≠ xⱼ] Σₘ ω^m k^m(i, j)
+//! E(X) = Σᵢ ψ_u(xᵢ) + Σ_{i<j} ψ_p(xᵢ, xⱼ)
 //!
-//! the first sum for what a node's own cues say, the second for every pair of labels that differ
-//! although the nodes are alike. The best of 2^N labellings is out of reach; mean field finds, in ten
-//! rounds of asking the neighbours, how likely each node is to move.
+//! the first sum over each node's own cues, the second over all pairs with different labels. The minimum
+//! over 2^N labellings is out of reach; mean field approximates how likely each node is to be dynamic.
 //!
-//! Reading order: [`cues`] (what a node brings) → [`unary`] (eq. 2, 3) → [`kernel`] (eq. 4 to 6) →
-//! `mean_field` (the iteration, and how far an approximate sum leads it astray) → `reference` (sums
-//! over pairs as written) and `fast` (the same, sooner) → [`small`] (energies and all labellings, to
-//! judge the approximation) → [`window`] (eq. 7). [`config`] names every choice. Derivations:
-//! docs/math_crf.md, C1 to C6.
+//! | eq. | function |
+//! |---|---|
+//! | 1, energy | [`SmallCrf::energy`] |
+//! | 2, P(static) | [`unary::mixture_likelihood`] |
+//! | 3, unary potential | [`unary::potentials`] |
+//! | 4, pairwise potential | [`kernel::pairwise`] |
+//! | 5, 6, kernels | [`kernel::feature`], [`kernel::position`] |
+//! | 7, retention | [`LabelWindow::score`] |
+//!
+//! Reading order: [`cues`] (the input of a node) → [`unary`] → [`kernel`] → `mean_field` (the iteration),
+//! `error_bound` (the effect of approximate sums) → `reference` (sums over pairs as written) and `fast` →
+//! [`enumeration`] (the exact distribution of small fields) → [`window`]. [`config`] and [`readings`] name
+//! every choice. Derivations: docs/math_crf.md, C1 to C6.
 //!
 //! # Example
 //! Three Gaussians side by side, the middle one without any evidence, and one far away:
@@ -32,29 +39,34 @@
 //! let nodes = [node(0.0, Some(6.0)), node(0.02, None), node(0.04, Some(6.0)), node(1.0, Some(0.5))];
 //! let beliefs = Crf::new(CrfConfig::default())?.infer(&nodes, Par::Seq)?;
 //! assert_eq!(beliefs.labels, [Label::Dynamic, Label::Dynamic, Label::Dynamic, Label::Static]);
-//! assert!(beliefs.dynamic[1] > 0.9); // nothing of its own, but what its neighbours say
+//! assert!(beliefs.dynamic[1] > 0.9); // no cue of its own: from its neighbours
 //! # Ok::<(), garad_crf::CrfError>(())
 //! ```
 
 pub mod config;
 pub mod cues;
+pub mod enumeration;
 pub mod error;
+mod error_bound;
 mod fast;
 pub mod kernel;
 mod mean_field;
+mod normalised;
+pub mod readings;
 mod reference;
-pub mod small;
+mod sigmoid;
 pub mod unary;
 pub mod window;
 
-pub use config::{
-    CrfConfig, CueModel, Decision, Distance, Height, KernelConfig, MeanFieldConfig, Method,
-    Normalisation, Pooling, PositionTerms, Score, Side, ThinEvidence, UnaryConfig,
-};
+pub use config::{CrfConfig, CueModel, KernelConfig, MeanFieldConfig, Method, UnaryConfig};
 pub use cues::{Cues, DepthNoise, Node};
+pub use enumeration::SmallCrf;
 pub use error::CrfError;
-pub use small::SmallCrf;
-pub use window::{LabelWindow, LabelWindowConfig, WindowReading};
+pub use readings::{
+    Decision, Distance, Height, Normalisation, Pooling, PositionTerms, Score, Side, ThinEvidence,
+    WindowReading,
+};
+pub use window::{LabelWindow, LabelWindowConfig};
 
 use garad_core::{Label, Par};
 
@@ -68,18 +80,18 @@ pub struct Crf {
     config: CrfConfig,
 }
 
-/// What the field believes of each node.
+/// The result of inference.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Beliefs {
     /// Probability of being dynamic, in [0, 1], one per node.
     pub dynamic: Vec<f64>,
     /// Dynamic where the belief is above the threshold.
     pub labels: Vec<Label>,
-    /// Largest change of a belief in the last iteration: small if the field has settled.
+    /// Largest change of a belief in the last iteration: small if the iteration has converged.
     pub last_change: f64,
-    /// No belief is further than this from what the same iterations give in exact arithmetic with
-    /// every pair. So a label is beyond doubt where |dynamic - threshold| is larger. It grows with
-    /// weights and iterations where nodes are undecided; 1 if nothing can be promised.
+    /// No belief is further than this from the same iterations in exact arithmetic with
+    /// every pair, so a label is certain where |dynamic - threshold| is larger. It grows with
+    /// weights and iterations where nodes are undecided; 1 if there is no better bound.
     pub error_bound: f64,
 }
 
@@ -126,7 +138,7 @@ impl Crf {
     }
 
     /// As [`Crf::infer`], with the unary terms given: `log_odds[i]` = ψᵢ(static) - ψᵢ(dynamic).
-    /// `Node::cues` enter the feature kernel alone; `Node::previous` is not looked at.
+    /// `Node::cues` enter the feature kernel alone; `Node::previous` is not used.
     ///
     /// # Errors
     /// As [`Crf::infer`]; [`CrfError::SizeMismatch`] unless there is one number per node.

@@ -1,13 +1,31 @@
-//! Kernel sums as they are written: every pair, in index order.
+//! [`KernelSums`], all that mean field needs of a kernel, and [`Reference`]: the sums as they are written,
+//! over every pair in index order.
 
 use garad_core::Par;
 
 use crate::config::{KernelConfig, MeanFieldConfig};
 use crate::cues::Node;
 use crate::kernel;
-use crate::mean_field::{Kernel, KernelSums};
 
-/// The readable sums: N² kernel values per call, in f64.
+/// One of the two kernels of eq. 4.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Kernel {
+    /// Eq. 5.
+    Feature,
+    /// Eq. 6.
+    Position,
+}
+
+/// Sums of the kernels over all pairs.
+pub(crate) trait KernelSums {
+    /// Σⱼ k(i, j) sⱼ for each i; j = i takes part if the configuration says so.
+    fn sums(&self, kernel: Kernel, s: &[f64], par: Par) -> Vec<f64>;
+
+    /// For each i, a bound on the error of [`KernelSums::sums`] where |sⱼ| ≤ 1, rounding aside.
+    fn left_out(&self, kernel: Kernel) -> Vec<f64>;
+}
+
+/// N² kernel values per call, in f64.
 pub(crate) struct Reference<'a> {
     nodes: &'a [Node],
     kernels: &'a KernelConfig,

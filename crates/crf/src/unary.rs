@@ -1,39 +1,40 @@
-//! Eq. 2 and 3: from the cues of a node to its own opinion.
+//! The unary potential: P(static) from four cues (eq. 2) and its negative logarithm (eq. 3).
 //!
-//! Eq. 2 gives each cue a Gaussian of what static things look like and mixes them,
+//! Eq. 2 models each cue on static points by a Gaussian and adds them up,
 //!
 //! P = Σ π_k N(x_k | μ_k, σ_k²)
 //!
-//! As it stands the cues' units decide their weights (a density per px beside one per observation),
+//! As printed the cues' units decide their weights (a density per px beside one per observation),
 //! and a point without any reprojection error is improbable. So by default each likelihood has a
-//! peak of 1 and falls on the bad side of μ only; P is their mean over the cues that are there.
+//! peak of 1 and falls on the bad side of μ only; P is their geometric mean over the known cues.
 //!
-//! Eq. 3, ψ = -ln P, does not say what the other label costs. P is a probability of being static, so
+//! Eq. 3, ψ = -ln P, leaves the cost of the other label open. P is a probability of being static, so
 //!
 //! ψ(static) = -ln P,  ψ(dynamic) = -ln(1 - P)      (C1)
 //!
-//! and all that counts is their difference, the log-odds u = ln((1 - P) / P) of being dynamic.
+//! and only their difference matters, the log-odds u = ln((1 - P) / P) of being dynamic.
 //!
 //! # Example
-//! Two cues. A reprojection error of 2.3 px is one σ beyond the mean: exp(-1/2) = 0.607. Seven
-//! observations are more than the 5.4 expected: 1. P is their mean:
+//! Two cues. A reprojection error of 3.5 px is one σ above the mean: exp(-1/2). Seven
+//! observations are more than the mean of 2: 1. P is their geometric mean, exp(-1/4):
 //! ```
 //! use garad_crf::{Cues, UnaryConfig, unary};
 //! let config = UnaryConfig::default();
-//! let cues = Cues { reproj_px: Some(2.3), observations: Some(7), ..Cues::default() };
+//! let cues = Cues { reproj_px: Some(3.5), observations: Some(7), ..Cues::default() };
 //! let p = unary::p_static(&cues, &config);
-//! assert!((p - 0.803_265).abs() < 1e-6);
+//! assert!((p - 0.778_801).abs() < 1e-6);
 //! let [psi_static, psi_dynamic] = unary::potentials(&cues, &config);
-//! assert!((psi_static - 0.219_070).abs() < 1e-6 && (psi_dynamic - 1.625_899).abs() < 1e-6);
+//! assert!((psi_static - 0.25).abs() < 1e-12 && (psi_dynamic - 1.508_691).abs() < 1e-6);
 //! ```
 
-use crate::config::{CueModel, Decision, Height, Pooling, Score, Side, UnaryConfig};
+use crate::config::{CueModel, UnaryConfig};
 use crate::cues::Cues;
+use crate::readings::{Decision, Height, Pooling, Score, Side};
 
 /// √(2π)
 const SQRT_TAU: f64 = 2.506_628_274_631_000_7;
 
-/// Likelihood of a cue's value on something static.
+/// N(x | μ, σ²) of eq. 2: the likelihood of a cue's value on a static point.
 ///
 /// exp(-d² / 2σ²), d = x - μ, or 0 on the good side of a one-sided model; times 1 / (σ √2π) if
 /// `height` asks for a density.
@@ -51,39 +52,44 @@ pub fn likelihood(x: f64, model: &CueModel, height: Height) -> f64 {
     }
 }
 
-/// The likelihoods of the cues that are there, pooled, and the sum of their weights.
-fn pooled(cues: &Cues, config: &UnaryConfig) -> Option<(f64, f64)> {
-    let (mut sum, mut log_sum, mut weights) = (0.0, 0.0, 0.0);
-    for (value, model) in [
+/// (πₖ, N(xₖ | μₖ, σₖ²)) of the cues α, β, γ, δ; (0, 1) for an unknown one.
+fn weighted_likelihoods(cues: &Cues, config: &UnaryConfig) -> [(f64, f64); 4] {
+    [
         (cues.reproj_px, &config.reprojection),
         (cues.depth_residual, &config.depth),
         (cues.observations.map(f64::from), &config.observations),
         (cues.epipolar_px, &config.epipolar),
-    ] {
-        if let Some(x) = value.filter(|_| model.weight > 0.0) {
-            let value = likelihood(x, model, config.height);
-            sum += model.weight * value;
-            // ln 0 = -∞ is what makes a product 0.
-            log_sum += model.weight * libm::log(value);
-            weights += model.weight;
-        }
-    }
-    let pooled = match config.pooling {
-        Pooling::Mean => sum / weights,
-        Pooling::Geometric => libm::exp(log_sum / weights),
-    };
-    (weights > 0.0).then_some((pooled, weights))
+    ]
+    .map(|(x, model)| match x {
+        Some(x) if model.weight > 0.0 => (model.weight, likelihood(x, model, config.height)),
+        _ => (0.0, 1.0),
+    })
 }
 
-/// Eq. 2 over the cues that are there, their weights scaled to sum to 1. `None` without any.
+/// Σₖ πₖ over the known cues.
+fn total_weight(cues: &Cues, config: &UnaryConfig) -> f64 {
+    let terms = weighted_likelihoods(cues, config).into_iter();
+    terms.fold(0.0, |sum, (pi, _)| sum + pi)
+}
+
+/// Eq. 2: P = Σₖ πₖ N(xₖ | μₖ, σₖ²) over the known cues, divided by Σₖ πₖ, which the paper has at 1.
+/// `None` without any cue.
 ///
 /// In [0, 1] for [`Height::Unit`]; anything from 0 up for [`Height::Density`].
 #[must_use]
 pub fn mixture_likelihood(cues: &Cues, config: &UnaryConfig) -> Option<f64> {
-    pooled(cues, config).map(|(pooled, _)| pooled)
+    let terms = weighted_likelihoods(cues, config);
+    let sum = |f: fn(f64, f64) -> f64| terms.iter().fold(0.0, |sum, &(pi, n)| sum + f(pi, n));
+    let weights = total_weight(cues, config);
+    let p = match config.pooling {
+        Pooling::Mean => sum(|pi, n| pi * n) / weights,
+        // ln 0 = -∞ makes the product 0.
+        Pooling::Geometric => libm::exp(sum(|pi, n| pi * libm::log(n)) / weights),
+    };
+    (weights > 0.0).then_some(p)
 }
 
-/// Seen by fewer keyframes than it takes to have a say.
+/// Too few observations for a P of its own ([`UnaryConfig::min_observations`]).
 #[must_use]
 pub fn is_thin(cues: &Cues, config: &UnaryConfig) -> bool {
     cues.observations
@@ -94,7 +100,7 @@ pub fn is_thin(cues: &Cues, config: &UnaryConfig) -> bool {
 /// observations.
 #[must_use]
 pub fn p_static(cues: &Cues, config: &UnaryConfig) -> f64 {
-    let Some((pooled, weights)) = pooled(cues, config).filter(|_| !is_thin(cues, config)) else {
+    let Some(pooled) = mixture_likelihood(cues, config).filter(|_| !is_thin(cues, config)) else {
         return 0.5;
     };
     let p = match config.decision {
@@ -107,7 +113,7 @@ pub fn p_static(cues: &Cues, config: &UnaryConfig) -> f64 {
         } => {
             let score = match score {
                 Score::Mean => pooled,
-                Score::Sum => pooled * weights,
+                Score::Sum => pooled * total_weight(cues, config),
             };
             let threshold = match cues.epipolar_px {
                 Some(_) => threshold_with_epipolar,
@@ -123,14 +129,14 @@ pub fn p_static(cues: &Cues, config: &UnaryConfig) -> f64 {
     p.max(config.clamp).min(1.0 - config.clamp)
 }
 
-/// [ψ(static), ψ(dynamic)] = [-ln P, -ln(1 - P)], nat.
+/// Eq. 3: ψ_u = -ln P, nat, for P(static) and for P(dynamic) = 1 - P.
 #[must_use]
 pub fn potentials(cues: &Cues, config: &UnaryConfig) -> [f64; 2] {
     let p = p_static(cues, config);
     [-libm::log(p), -libm::log1p(-p)]
 }
 
-/// ψ(static) - ψ(dynamic): what the node's own cues say for being dynamic, as log-odds.
+/// u = ψ(static) - ψ(dynamic): the log-odds of being dynamic from the node's own cues.
 #[must_use]
 pub fn log_odds(cues: &Cues, config: &UnaryConfig) -> f64 {
     let [psi_static, psi_dynamic] = potentials(cues, config);
@@ -182,10 +188,13 @@ mod tests {
 
     #[test]
     fn missing_cues_do_not_count() {
-        let config = UnaryConfig::default();
+        let mut config = UnaryConfig {
+            pooling: Pooling::Mean,
+            ..UnaryConfig::default()
+        };
         close(p_static(&Cues::default(), &config), 0.5);
         let two_sigma = Cues {
-            epipolar_px: Some(0.7),
+            epipolar_px: Some(4.0),
             ..Cues::default()
         };
         close(p_static(&two_sigma, &config), TWO);
@@ -194,19 +203,18 @@ mod tests {
             ..two_sigma
         };
         close(p_static(&and_good, &config), (TWO + 1.0) / 2.0);
-        let mut ignoring = config;
-        ignoring.depth.weight = 0.0;
-        close(p_static(&and_good, &ignoring), TWO);
-        assert_eq!(
-            mixture_likelihood(&Cues::default(), &ignoring),
-            None,
-            "no cue"
-        );
+        config.depth.weight = 0.0;
+        close(p_static(&and_good, &config), TWO);
+        let nothing = mixture_likelihood(&Cues::default(), &config);
+        assert_eq!(nothing, None, "no cue");
     }
 
     #[test]
     fn what_one_good_cue_is_worth() {
-        let mut config = UnaryConfig::default();
+        let mut config = UnaryConfig {
+            pooling: Pooling::Mean,
+            ..UnaryConfig::default()
+        };
         let one_good_of_three = Cues {
             reproj_px: Some(40.0),
             depth_residual: Some(40.0),
@@ -220,7 +228,7 @@ mod tests {
         config.pooling = Pooling::Geometric;
         close(p_static(&one_good_of_three, &config), config.clamp);
         let mild = Cues {
-            reproj_px: Some(2.9),
+            reproj_px: Some(4.5),
             epipolar_px: Some(0.0),
             ..Cues::default()
         };

@@ -1,12 +1,12 @@
-//! Eq. 7: a Gaussian is removed only after it was dynamic for a while.
+//! [`LabelWindow`]: the retention window of eq. 7. A Gaussian is removed only after a number of dynamic runs.
 //!
 //! As printed,
 //!
 //! S = 1 - (1/n) Σ_{k=i}^{i+n} (1 - L(k)),  removed where S = 0
 //!
 //! has n + 1 terms over n, and the wrong sign: always dynamic gives S = 1 (kept), and S = 0 means
-//! exactly one dynamic run among n + 1 (removed). The text wants the opposite, "avoiding premature
-//! deletion of potential static ones", which the printed formula without its leading "1 -" says:
+//! exactly one dynamic run among n + 1 (removed). The text asks for the opposite, "avoiding premature
+//! deletion of potential static ones", which is the printed formula without its leading "1 -":
 //!
 //! S = (1/n) Σ (1 - L) over the last n runs,  removed where S = 0: dynamic in every one      (C6)
 //!
@@ -29,24 +29,14 @@ use garad_core::Label;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{CrfError, setting};
-
-/// How eq. 7 is read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum WindowReading {
-    /// S is the share of static runs among the last n.
-    #[default]
-    StaticShare,
-    /// S as printed, over the last n + 1 runs.
-    Literal,
-}
+use crate::readings::WindowReading;
 
 /// Length and reading of the window.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LabelWindowConfig {
-    /// n, in runs of the field, 1..=63. The paper gives none; at two keyframes per second 10 runs
-    /// are 5 s of being wrong before anything is lost.
+    /// n, in runs of the field, 1..=63. The paper gives none; at two keyframes per second, 10 runs
+    /// are 5 s of wrong labels before a Gaussian is lost.
     pub runs: u32,
     /// The reading.
     pub reading: WindowReading,
@@ -89,7 +79,7 @@ impl LabelWindow {
     /// Runs it remembers.
     pub const CAPACITY: u32 = 64;
 
-    /// Takes in the label of a run.
+    /// Appends the label of a run.
     pub fn push(&mut self, label: Label) {
         self.dynamic = self.dynamic << 1 | u64::from(label == Label::Dynamic);
         self.seen = (self.seen + 1).min(Self::CAPACITY);
@@ -119,7 +109,8 @@ impl LabelWindow {
         (self.seen >= length).then(|| length - self.dynamic_runs(length))
     }
 
-    /// S of eq. 7; `None` before there are as many runs as it sums over.
+    /// Eq. 7: S = (1/n) Σ (1 - L) over the last n runs, or, as printed,
+    /// S = 1 - (1/n) Σ (1 - L) over n + 1. `None` before there are as many runs as it sums over.
     #[must_use]
     pub fn score(&self, config: &LabelWindowConfig) -> Option<f64> {
         let share = f64::from(self.static_runs(config)?) / f64::from(config.runs);
@@ -129,14 +120,10 @@ impl LabelWindow {
         })
     }
 
-    /// S = 0, decided on whole numbers.
+    /// S = 0; exact, as S is a ratio of small whole numbers.
     #[must_use]
     pub fn is_removed(&self, config: &LabelWindowConfig) -> bool {
-        self.static_runs(config)
-            .is_some_and(|n| match config.reading {
-                WindowReading::StaticShare => n == 0,
-                WindowReading::Literal => n == config.runs,
-            })
+        self.score(config) == Some(0.0)
     }
 }
 

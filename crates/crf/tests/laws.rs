@@ -3,8 +3,8 @@
 
 use garad_core::{Label, Par, Rng};
 use garad_crf::{
-    Beliefs, Crf, CrfConfig, Cues, Distance, Method, Node, Normalisation, PositionTerms, SmallCrf,
-    kernel,
+    Beliefs, Crf, CrfConfig, Cues, Distance, Height, Method, Node, Normalisation, PositionTerms,
+    Side, SmallCrf,
 };
 use nalgebra::{Vector2, Vector3};
 use proptest::prelude::*;
@@ -54,6 +54,21 @@ fn room(n: usize, seed: u64) -> Vec<Node> {
 fn infer(config: &CrfConfig, nodes: &[Node], par: Par) -> Beliefs {
     let crf = Crf::new(config.clone()).expect("a valid configuration");
     crf.infer(nodes, par).expect("valid nodes")
+}
+
+/// LC-CRF's numbers with one-sided likelihoods, their mean, ten iterations.
+fn one_sided() -> CrfConfig {
+    let mut config = with_method(&CrfConfig::as_printed(), Method::Fast { tail: 1e-12 });
+    config.unary.height = Height::Unit;
+    config.unary.min_observations = 2;
+    config.unary.reprojection.side = Side::Above;
+    config.unary.depth.side = Side::Above;
+    config.unary.observations.side = Side::Below;
+    config.unary.epipolar.side = Side::Above;
+    config.kernels.distance = Distance::Squared;
+    config.mean_field.normalisation = Normalisation::Rows;
+    config.mean_field.self_message = true;
+    config
 }
 
 fn with_method(config: &CrfConfig, method: Method) -> CrfConfig {
@@ -173,7 +188,7 @@ fn same_bits_for_any_number_of_threads() {
 
 #[test]
 fn a_person_is_found_and_the_room_is_kept() {
-    let mut config = CrfConfig::default();
+    let mut config = one_sided();
     let nodes = room(1500, 4);
     let beliefs = infer(&config, &nodes, Par::Seq);
     assert!(
@@ -181,7 +196,7 @@ fn a_person_is_found_and_the_room_is_kept() {
         "settled: {}",
         beliefs.last_change
     );
-    // A node of the person's without any cue hears from its neighbours.
+    // The person's nodes without any cue get their label from their neighbours.
     let blank = |node: &Node| node.cues == Cues::default() && node.uv_px.is_some();
     let on_person = |node: &Node| {
         (node.p_world.z - 2.0).abs() < 0.15
@@ -202,7 +217,7 @@ fn a_person_is_found_and_the_room_is_kept() {
     let wall = share(&|n| n.p_world.z > 3.0, &beliefs);
     assert!(person > 0.6, "{person} of the person's blank nodes");
     assert!(wall < 0.1, "{wall} of the room");
-    // Without kernels blank nodes know nothing.
+    // Without kernels nodes without cues stay undecided.
     config.kernels.feature_weight = 0.0;
     config.kernels.position_weight = 0.0;
     assert!(
@@ -253,39 +268,23 @@ fn scattered_features() {
     }
 }
 
-/// What the documentation of the weights says.
+/// As documented at `KernelConfig::feature_weight`.
 #[test]
 fn small_weights_settle_and_large_ones_do_not() {
     let nodes = room(600, 5);
-    let mut config = CrfConfig::default();
-    let settled = infer(&config, &nodes, Par::Seq).last_change;
-    config.unary.decision = CrfConfig::lc_crf().unary.decision;
-    config.kernels.feature_weight = 10.0;
-    config.kernels.position_weight = 30.0;
-    config.mean_field.iterations = 5;
-    let moving = infer(&config, &nodes, Par::Seq).last_change;
+    let settled = infer(&one_sided(), &nodes, Par::Seq).last_change;
+    let moving = infer(&CrfConfig::lc_crf(), &nodes, Par::Seq).last_change;
     assert!(settled < 0.06 && moving > 0.3, "{settled}, {moving}");
 }
 
-/// A small field without normalisation, as couplings written out.
-fn written_out(nodes: &[Node], log_odds: &[f64], config: &CrfConfig) -> SmallCrf {
-    let k = &config.kernels;
-    let mut coupling = Vec::new();
-    for a in nodes {
-        for b in nodes {
-            coupling.push(
-                k.feature_weight * kernel::feature(a, b, k)
-                    + k.position_weight * kernel::position(a, b, k),
-            );
-        }
-    }
-    SmallCrf::from_log_odds(log_odds, coupling).expect("N x N")
+fn small(nodes: &[Node], log_odds: &[f64], config: &CrfConfig) -> SmallCrf {
+    SmallCrf::from_nodes(nodes, log_odds, &config.kernels).expect("one log-odds per node")
 }
 
+/// Eq. 4 as printed, with squared distances and the fast sums.
 fn literal(weight: f64) -> CrfConfig {
-    let mut config = CrfConfig::default();
-    config.mean_field.normalisation = Normalisation::None;
-    config.mean_field.self_message = false;
+    let mut config = with_method(&CrfConfig::as_printed(), Method::Fast { tail: 1e-12 });
+    config.kernels.distance = Distance::Squared;
     config.mean_field.iterations = 60;
     config.kernels.feature_weight = 0.3 * weight;
     config.kernels.position_weight = weight;
@@ -313,26 +312,26 @@ fn node_strategy() -> impl Strategy<Value = Node> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// KL(q ‖ p) ≥ 0, for any coins.
+    /// KL(q ‖ p) ≥ 0, for any q.
     #[test]
     fn free_energy_is_never_below_its_bound(
         nodes in prop::collection::vec(node_strategy(), 1..9),
         u in prop::array::uniform9(-3.0..3.0f64),
         q in prop::array::uniform9(0.0..=1.0f64),
     ) {
-        let crf = written_out(&nodes, &u[..nodes.len()], &literal(1.0));
+        let crf = small(&nodes, &u[..nodes.len()], &literal(1.0));
         let all = crf.enumerate().expect("few nodes");
         let free = crf.free_energy(&q[..nodes.len()]);
         prop_assert!(free >= -all.log_z - 1e-12, "{free} < {}", -all.log_z);
     }
 
-    /// Each step minimises F along one coordinate.
+    /// Each step is the minimum of F along one coordinate.
     #[test]
     fn sequential_sweeps_never_raise_the_free_energy(
         nodes in prop::collection::vec(node_strategy(), 1..13),
         u in prop::array::uniform12(-3.0..3.0f64),
     ) {
-        let crf = written_out(&nodes, &u[..nodes.len()], &literal(2.0));
+        let crf = small(&nodes, &u[..nodes.len()], &literal(2.0));
         let mut q = vec![0.5; nodes.len()];
         let mut before = crf.free_energy(&q);
         for _ in 0..10 {
@@ -354,7 +353,7 @@ proptest! {
         let n = nodes.len();
         let u: Vec<f64> = (0..n).map(|i| if signs[i] { sizes[i] } else { -sizes[i] }).collect();
         let config = literal(0.12);
-        let crf = written_out(&nodes, &u, &config);
+        let crf = small(&nodes, &u, &config);
         let beliefs = Crf::new(config).expect("valid").infer_from_log_odds(&nodes, &u, Par::Seq).expect("valid");
         let mut q = vec![0.5; n];
         for _ in 0..60 {
@@ -371,7 +370,7 @@ proptest! {
         prop_assert!((-1e-12..0.5).contains(&gap), "F + ln Z = {gap}");
     }
 
-    /// The order of nodes is no evidence.
+    /// Beliefs do not depend on the order of the nodes.
     #[test]
     fn permuted_nodes_have_permuted_beliefs(seed in 0u64..1000, tail in prop::sample::select(vec![0.0, 1e-12])) {
         let nodes = room(90, seed);
@@ -425,9 +424,9 @@ proptest! {
 }
 
 #[test]
-fn nobody_and_somebody_alone() {
+fn no_node_and_one_node() {
     let config = CrfConfig::default();
-    assert!(infer(&config, &[], Par::Seq).dynamic.is_empty(), "nobody");
+    assert!(infer(&config, &[], Par::Seq).dynamic.is_empty(), "no node");
     let alone = Node {
         cues: Cues {
             reproj_px: Some(0.5),
@@ -437,7 +436,7 @@ fn nobody_and_somebody_alone() {
         ..Node::default()
     };
     let beliefs = infer(&config, &[alone], Par::Seq);
-    // Its own voice is all it hears: 4 (2q - 1) on top of u = -6.9.
+    // Its own message alone: 4 (2q - 1) on top of u = -6.9.
     assert!(
         beliefs.dynamic[0] < 1e-3 && beliefs.labels == [Label::Static],
         "{beliefs:?}"
@@ -445,7 +444,7 @@ fn nobody_and_somebody_alone() {
 }
 
 #[test]
-fn a_newcomer_keeps_what_was_believed() {
+fn a_node_seen_once_keeps_its_previous_belief() {
     let seen_once = |previous| Node {
         cues: Cues {
             observations: Some(1),
@@ -467,10 +466,10 @@ fn a_newcomer_keeps_what_was_believed() {
         "{keep:?}"
     );
     config.unary.thin = garad_crf::ThinEvidence::Neighbours;
-    let ask = infer(&config, &nodes, Par::Seq);
+    let inferred = infer(&config, &nodes, Par::Seq);
     assert!(
-        (ask.dynamic[0] - 0.5).abs() < 1e-12,
-        "its neighbours know nothing"
+        (inferred.dynamic[0] - 0.5).abs() < 1e-12,
+        "its neighbours have no cue"
     );
 }
 

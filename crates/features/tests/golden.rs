@@ -1,11 +1,12 @@
 //! The committed cases of this crate's stages: truth from OpenCV, numpy and mpmath.
 
+use garad_core::chi_square::chi2_2dof_quantile;
 use garad_core::{Camera, GrayImage, KeyframeId, Par, Se3, So3};
 use garad_features::epipolar::{
     RansacConfig, eight_point, fundamental, fundamental_ransac, point_to_line_px, sampson_px2,
 };
 use garad_features::fast9::{self, Window};
-use garad_features::flow::{FlowFit, chi2_2dof_quantile};
+use garad_features::flow::FlowFit;
 use garad_features::lk::{self, reference::scharr};
 use garad_features::matching::nearest;
 use garad_features::orb::{blur, orientation};
@@ -289,13 +290,14 @@ fn flow() {
             "trimmed" => FlowEstimator::Trimmed,
             other => panic!("{}: no estimator {other}", case.name()),
         };
-        let form = match case.param_str("form") {
+        let model = match case.param_str("form") {
             "raw" => FlowForm::Raw,
             "residual" => FlowForm::Residual,
             other => panic!("{}: no form {other}", case.name()),
         };
         let config = FlowConfig {
-            form,
+            enabled: true,
+            model,
             estimator,
             covariance_floor_px2: case.param_f64("covariance_floor_px2"),
             min_support: 3,

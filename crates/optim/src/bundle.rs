@@ -3,6 +3,7 @@
 //! The cost is that of eq. 11, summed over every camera that sees a point, with the points unknown
 //! as well. Poses are moved on the left, exp(ξ) * camera_from_world, points by addition.
 
+use garad_core::chi_square::{CHI2_2DOF_95, CHI2_3DOF_95};
 use garad_core::{Camera, Se3};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
@@ -32,16 +33,16 @@ pub struct BundleObservation {
 pub struct BundleConfig {
     /// Trials of Levenberg-Marquardt.
     pub iterations: usize,
-    /// δ² of the Huber kernel of an observation without depth, and the gate that judges it at the
+    /// δ² of the Huber kernel of an observation without depth, and its gate at the
     /// end: 95 % of χ² with 2 degrees of freedom.
     pub chi2_2d: f64,
     /// The same with depth: 3 degrees of freedom.
     pub chi2_3d: f64,
     /// Huber, or plain least squares.
     pub robust: bool,
-    /// Converged when a step promises no more than this part of the cost. With a kernel each step
-    /// goes a part of the way: what is left is a few times as much (measured: 1e-6 stops 2e-6 above
-    /// the optimum, 1e-7 stops 4e-7 above it).
+    /// Converged when the model expects a decrease of at most this part of the cost. With a kernel each
+    /// step covers only a part of the distance: the remainder is a few times as much (measured: 1e-6 stops
+    /// 2e-6 above the optimum, 1e-7 stops 4e-7 above it).
     pub cost_tolerance: f64,
 }
 
@@ -49,15 +50,15 @@ impl Default for BundleConfig {
     fn default() -> Self {
         Self {
             iterations: 10,
-            chi2_2d: 5.991,
-            chi2_3d: 7.815,
+            chi2_2d: CHI2_2DOF_95,
+            chi2_3d: CHI2_3DOF_95,
             robust: true,
             cost_tolerance: 1e-6,
         }
     }
 }
 
-/// How it went, and which observations the result explains.
+/// The report of the minimisation, and the inliers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BundleReport {
     /// Of the minimisation.
@@ -78,7 +79,7 @@ pub struct BundleReport {
 /// machine. The reduced system has a 6x6 block per pair of poses that see a point together, and is
 /// factored as a sparse one: a long trajectory costs little more than its windows do.
 ///
-/// Fixed poses do not move, nor do points that nobody sees. Observations that start behind their
+/// Fixed poses do not move, nor do points without observations. Observations that start behind their
 /// camera take no part; steps that would bring another one there are rejected. With no
 /// fixed pose the bundle as a whole is held only by the damping.
 ///
@@ -128,7 +129,7 @@ pub fn optimise_bundle(
     Ok(BundleReport { report, inlier })
 }
 
-/// The unknowns, and the poses that are none.
+/// The unknowns, with the fixed poses.
 #[derive(Debug, Clone, PartialEq)]
 struct Bundle {
     poses: Vec<Se3>,

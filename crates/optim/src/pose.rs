@@ -1,10 +1,10 @@
-//! [`optimise_pose`]: where is the camera, given points it sees (eq. 11)?
+//! [`optimise_pose`]: the pose of a camera from static matches (eq. 11).
 //!
-//! {R, t} = argmin Σ ρ(‖r(R pᵢ + t)‖²) over static matches. The unknown is moved on the left,
-//! exp(ξ) * camera_from_world. Matches are never all depth: several rounds of
-//! Levenberg-Marquardt alternate with a gate that takes out what does not fit (and lets it back in
-//! when it does).
+//! The unknown is moved on the left, exp(ξ) * camera_from_world. Some matches are outliers: rounds of
+//! Levenberg-Marquardt alternate with a gate that removes matches that do not fit (and readmits them
+//! when they do).
 
+use garad_core::chi_square::{CHI2_2DOF_95, CHI2_3DOF_95};
 use garad_core::{Camera, Se3};
 use nalgebra::{Matrix6, Vector2, Vector3, Vector6};
 
@@ -44,7 +44,7 @@ pub struct PoseConfig {
     /// The same with depth: 3 degrees of freedom.
     pub chi2_3d: f64,
     /// Each round starts from the initial pose (as ORB-SLAM does) and not from the last one's:
-    /// what an early round learnt from outliers is forgotten.
+    /// the effect of outliers in an early round is lost.
     pub restart_from_initial: bool,
     /// Rounds counted from 0; those after this one run without a kernel, on inliers alone.
     pub kernel_off_after_round: usize,
@@ -59,8 +59,8 @@ impl Default for PoseConfig {
             bf: 40.0,
             rounds: 4,
             iterations: 10,
-            chi2_2d: 5.991,
-            chi2_3d: 7.815,
+            chi2_2d: CHI2_2DOF_95,
+            chi2_3d: CHI2_3DOF_95,
             restart_from_initial: true,
             kernel_off_after_round: 2,
             cost_tolerance: 1e-9,
@@ -68,7 +68,7 @@ impl Default for PoseConfig {
     }
 }
 
-/// A pose, and how much to believe it.
+/// A pose, its inliers and its information.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseSolution {
     /// The pose.
@@ -87,18 +87,17 @@ pub struct PoseSolution {
 
 /// A rigid pose has 6 unknowns; an observation gives at least 2 equations.
 const MIN_OBSERVATIONS: usize = 3;
-/// With fewer observations a gate would decide on too little: only one round is run.
+/// With fewer observations the gate is not reliable: only one round is run.
 const MIN_OBSERVATIONS_TO_GATE: usize = 10;
 
-/// Finds the pose of a camera from points it sees.
+/// Eq. 11: {R, t} = argmin Σᵢ ρ(‖pᵢ - π(R Pᵢ + t)‖²_Σ), the pose of a camera from matches of
+/// static points Pᵢ and keypoints pᵢ.
 ///
-/// F(R, t) = ½ Σᵢ ρ(‖r(R pᵢ + t)‖²)                                                     (eq. 11)
+/// The whitened residual has 2 rows, or 3 with a depth reading ([`crate::reprojection`], E12); ρ is
+/// Huber's kernel with δ² = `chi2_2d` or `chi2_3d`. Observations beyond the gate or behind the camera
+/// are left out of the next round, and checked again after it.
 ///
-/// with r of 2 or 3 whitened rows ([`crate::reprojection`], E12) and ρ Huber's kernel with
-/// δ² = `chi2_2d` or `chi2_3d`. Observations beyond the gate or behind the camera are left out of
-/// the next round, and looked at again after it.
-///
-/// Source: paper eq. 11; rounds and gates as in ORB-SLAM2 (Mur-Artal, Tardós 2017).
+/// Source: the paper; rounds and gates as in ORB-SLAM2 (Mur-Artal, Tardós 2017).
 ///
 /// # Numerics
 /// f64, normal equations summed in the order of the observations: the same bits on every machine.
@@ -172,8 +171,8 @@ pub fn optimise_pose(
     })
 }
 
-/// The cost of eq. 11 as a [`Problem`] of six unknowns, for a closer look than [`optimise_pose`]
-/// gives: every block can be shown to any [`Visitor`].
+/// The cost of eq. 11 as a [`Problem`] of six unknowns: every residual block can be shown to any
+/// [`Visitor`].
 #[derive(Debug, Clone)]
 pub struct PoseProblem {
     intrinsics: Intrinsics,
@@ -199,7 +198,7 @@ impl PoseProblem {
         }
     }
 
-    /// Takes other kernels, of observations without and with depth.
+    /// Sets the kernels of observations without and with depth.
     pub fn set_kernels(&mut self, kernels: [RobustKernel; 2]) {
         self.kernels = kernels;
     }
@@ -252,7 +251,7 @@ impl Problem<6> for PoseProblem {
     }
 }
 
-/// Decides which observations a pose explains.
+/// The test of observations against a pose.
 struct Gate<'a> {
     intrinsics: Intrinsics,
     config: &'a PoseConfig,

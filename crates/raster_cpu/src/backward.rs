@@ -1,43 +1,24 @@
-//! [`backward`]: from gradients on the picture to gradients on the map and the pose.
+//! [`backward`]: from gradients on the images to gradients on the map and the pose.
 //!
-//! Each step's way back stands in the file of the step, below it; here they are only joined.
+//! The backward pass of each step stands in the file of the step, below it; here they are joined.
 
 use garad_core::{Camera, GaussianMap, Image, Par, Real, Se3};
 
 use crate::bin::Tiles;
-use crate::composite::{PixelBackward, SplatGradient, SplatSums, composite_tile_backward};
+use crate::composite::{PixelGradient, composite_pixel_backward};
 use crate::error::RasterError;
-use crate::project::{Projected, RowGradient, project_one_backward};
-use crate::render::{RenderOptions, Rendered, check};
+use crate::options::RenderOptions;
+use crate::project::{RowGradient, project_one_backward};
+use crate::rendered::{Rendered, Upstream};
+use crate::scalar::dot;
+use crate::splat_gradient::{SplatGradient, SplatSums};
+use crate::validate::{check_images, check_scene, check_splats};
 use crate::view::View;
 
-/// Splats taken back to their Gaussians by one task.
+/// Splats whose backward pass is one task.
 const CHUNK: usize = 256;
 
-/// What passes back through a clamp that is active.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum ClampGradient {
-    /// Nothing: the derivative of the picture as it is.
-    #[default]
-    True,
-    /// As the CUDA rasterizer of 3D Gaussian Splatting: alpha = min(0.99, ·) passes as if it were
-    /// not there, so that saturated splats still learn, and the clamp in the Jacobian holds
-    /// s z instead of s while z moves. A clamped colour passes nothing there either.
-    PassThrough,
-}
-
-/// ∂L/∂ of the pictures that [`crate::render()`] returns. A picture that is not there is zero.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Upstream<T> {
-    /// By [`Rendered::color`].
-    pub color: Image<[T; 3]>,
-    /// By [`Rendered::depth`] (Σ w z, not divided by the opacity), 1/m.
-    pub depth: Option<Image<T>>,
-    /// By [`Rendered::opacity`].
-    pub opacity: Option<Image<T>>,
-}
-
-/// ∂L/∂ of everything the picture was made of. Row i belongs to Gaussian i of the map and is
+/// ∂L/∂ of everything the image was made of. Row i belongs to Gaussian i of the map and is
 /// zero where that Gaussian is invisible.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Gradients<T> {
@@ -62,7 +43,7 @@ pub struct Gradients<T> {
     pub opacities: Vec<T>,
     /// By the splat's colour as it is blended, after the clamp at 0.
     pub colors: Vec<[T; 3]>,
-    /// By the z that is blended into the depth picture alone, 1/m.
+    /// By the z that is blended into the depth image alone, 1/m.
     pub depths: Vec<T>,
 }
 
@@ -85,14 +66,14 @@ impl<T: Real> Gradients<T> {
         }
     }
 
-    /// Writes one Gaussian's row and adds its share to the pose.
-    fn put(&mut self, i: usize, d: &SplatGradient<T>, row: &RowGradient<T>) {
+    /// Writes one Gaussian's row and adds its term to the pose.
+    fn write(&mut self, i: usize, d: &SplatGradient<T>, row: &RowGradient<T>) {
         let k = self.sh.len() / self.means.len();
         self.means[i] = row.mean;
         self.log_scales[i] = row.log_scale;
         self.quaternions[i] = row.quaternion;
         self.opacity_logits[i] = row.opacity_logit;
-        row.put_sh(&mut self.sh[i * k..(i + 1) * k]);
+        row.write_sh(&mut self.sh[i * k..(i + 1) * k]);
         for (sum, part) in self.pose.iter_mut().zip(row.pose) {
             *sum += part;
         }
@@ -104,30 +85,31 @@ impl<T: Real> Gradients<T> {
     }
 }
 
-/// The gradient of a scalar L of the pictures, by every parameter of every Gaussian and by the
+/// The gradient of a scalar L of the images, by every parameter of every Gaussian and by the
 /// pose.
 ///
 /// `map`, `camera`, `camera_from_world` and `options` are those `rendered` was made with.
 ///
 /// ```text
-/// Upstream ─ composite_tile_backward ─→ SplatSums ─ in tile order ─→ SplatGradient
-///              R13, R14, per tile                                        │
+/// Upstream ─ composite_pixel_backward ─→ SplatSums ─ in tile order ─→ SplatGradient
+///              R13, R14, per pixel                                       │
 /// Gradients ←─────────────── project_one_backward, R15 to R20 ←──────────┘
 /// ```
 ///
-/// Source: the derivative of [`crate::render()`] by hand; Kerbl et al. 2023 for the plan.
+/// Source: the derivative of [`crate::render()`] by hand; Kerbl et al. 2023 for its outline.
 /// Spec test: `every_parameter_against_differences`. Golden: `raster_backward/*`.
 ///
 /// # Shapes and units
-/// Pictures as in [`Rendered`]; rows as in the map.
+/// Images as in [`Rendered`]; rows as in the map.
 /// # Numerics
-/// Everything in `T`; the same bits for every `par`. The picture jumps where a splat crosses a
+/// Everything in `T`; the same bits for every `par`: a splat's sums run over the pixels of a tile
+/// row by row, then over the tiles in their order. The image jumps where a splat crosses a
 /// cut (1/255, 1e-4, its footprint, the order of depth): the gradient is that of the smooth
 /// pieces. A NaN in `upstream` comes out as NaN.
 /// # Errors
 /// As [`crate::render()`]; [`RasterError::SizeMismatch`]; [`RasterError::NotThisMap`].
 /// # Example
-/// How much brighter one splat makes the picture, by the logit of its opacity:
+/// How much brighter one splat makes the image, by the logit of its opacity:
 /// ```
 /// use garad_core::{Camera, GaussianMap, Image, KeyframeId, NewGaussian, Par, Se3};
 /// use garad_raster::{RenderOptions, Upstream, backward, render};
@@ -143,11 +125,11 @@ impl<T: Real> Gradients<T> {
 /// });
 /// let camera = Camera::pinhole((12, 6), [10.0, 10.0, 5.5, 2.5])?;
 /// let (pose, options) = (Se3::default(), RenderOptions::default());
-/// let picture = render(&map, &camera, &pose, &options, Par::Seq)?;
+/// let image = render(&map, &camera, &pose, &options, Par::Seq)?;
 /// // L = Σ red: one splat, so L = Σ alpha, and ∂alpha/∂logit = alpha (1 - opacity).
 /// let red = Upstream { color: Image::new(12, 6, [1.0, 0.0, 0.0]), depth: None, opacity: None };
-/// let gradients = backward(&map, &camera, &pose, &options, &picture, &red, Par::Seq)?;
-/// let total: f64 = picture.opacity.data().iter().sum();
+/// let gradients = backward(&map, &camera, &pose, &options, &image, &red, Par::Seq)?;
+/// let total: f64 = image.opacity.data().iter().sum();
 /// assert!((gradients.opacity_logits[0] - 0.5 * total).abs() < 1e-12);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -160,35 +142,31 @@ pub fn backward<T: Real>(
     upstream: &Upstream<T>,
     par: Par,
 ) -> Result<Gradients<T>, RasterError> {
-    check(map, camera, camera_from_world, options)?;
-    check_pictures(camera, rendered, upstream)?;
+    check_scene(map, camera, camera_from_world, options)?;
+    check_images(camera, rendered, upstream)?;
     check_splats(map, camera, &rendered.projected)?;
     let view = View::new(camera, camera_from_world);
     let splats = &rendered.projected;
     let tiles = Tiles::new(splats, view.size, options.tile_px);
     let background = options.background.map(T::from_f64);
+    let clamp = options.clamp_gradient;
 
-    // Pixels to splats. A splat's share of each tile is added in the order of tiles.
+    // Pixels to splats.
     let sums_of_tile = par.map(tiles.len(), |t| {
-        let mut pixels = Vec::new();
-        let rect = tiles.rect(t);
+        let (list, rect) = (tiles.list(t), tiles.rect(t));
+        let mut sums = vec![SplatSums::ZERO; list.len()];
         for y in rect.y0..rect.y1 {
             for x in rect.x0..rect.x1 {
-                pixels.push(pixel(rendered, upstream, background, (x, y)));
+                let pixel = pixel_gradient(rendered, upstream, background, (x, y));
+                composite_pixel_backward(splats, list, [x, y], &pixel, clamp, &mut sums);
             }
         }
-        composite_tile_backward(
-            splats,
-            tiles.list(t),
-            &rect,
-            &mut pixels,
-            options.clamp_gradient,
-        )
+        sums
     });
-    let mut sums = vec![SplatSums::new(); splats.len()];
-    for (t, part) in sums_of_tile.iter().enumerate() {
-        for (&position, share) in tiles.list(t).iter().zip(part) {
-            sums[position as usize].add(share);
+    let mut sums = vec![SplatSums::ZERO; splats.len()];
+    for (t, of_tile) in sums_of_tile.iter().enumerate() {
+        for (&position, part) in tiles.list(t).iter().zip(of_tile) {
+            sums[position as usize].add(part);
         }
     }
 
@@ -198,7 +176,7 @@ pub fn backward<T: Real>(
             .map(|position| {
                 let splat = &splats[position];
                 let d = SplatGradient::new(splat, &sums[position]);
-                project_one_backward(map, &view, splat, &d, options.clamp_gradient)
+                project_one_backward(map, &view, splat, &d, clamp)
                     .map(|row| (d, row))
                     .ok_or(RasterError::NotThisMap { splat: position })
             })
@@ -208,75 +186,27 @@ pub fn backward<T: Real>(
     let mut splat = splats.iter();
     for chunk in rows {
         for ((d, row), splat) in chunk?.iter().zip(&mut splat) {
-            gradients.put(splat.index as usize, d, row);
+            gradients.write(splat.index as usize, d, row);
         }
     }
     Ok(gradients)
 }
 
-/// What the way back starts with at a pixel. color = … + T background and opacity = 1 - T, so
+/// What the backward pass starts from at a pixel. color = … + T background and opacity = 1 - T, so
 /// ∂L/∂T = ∂L/∂color · background - ∂L/∂opacity.
-pub(crate) fn pixel<T: Real>(
+fn pixel_gradient<T: Real>(
     rendered: &Rendered<T>,
     upstream: &Upstream<T>,
     background: [T; 3],
     at: (usize, usize),
-) -> PixelBackward<T> {
-    let of = |picture: &Option<Image<T>>| picture.as_ref().map_or(T::ZERO, |p| p[at]);
+) -> PixelGradient<T> {
+    let of = |image: &Option<Image<T>>| image.as_ref().map_or(T::ZERO, |p| p[at]);
     let d_color = upstream.color[at];
-    PixelBackward {
+    PixelGradient {
         d_color,
         d_depth: of(&upstream.depth),
+        d_transmittance: dot(d_color, background) - of(&upstream.opacity),
         transmittance: rendered.transmittance[at],
-        behind: d_color[0] * background[0]
-            + d_color[1] * background[1]
-            + d_color[2] * background[2]
-            - of(&upstream.opacity),
         last: rendered.last[at],
-    }
-}
-
-pub(crate) fn check_pictures<T: Real>(
-    camera: &Camera,
-    rendered: &Rendered<T>,
-    upstream: &Upstream<T>,
-) -> Result<(), RasterError> {
-    let expected = (camera.width, camera.height);
-    let size = |p: &Option<Image<T>>| p.as_ref().map_or(expected, Image::size);
-    let pictures = [
-        ("rendered.transmittance", rendered.transmittance.size()),
-        ("rendered.last", rendered.last.size()),
-        ("upstream.color", upstream.color.size()),
-        ("upstream.depth", size(&upstream.depth)),
-        ("upstream.opacity", size(&upstream.opacity)),
-    ];
-    for (picture, got) in pictures {
-        if got != expected {
-            return Err(RasterError::SizeMismatch {
-                picture,
-                expected,
-                got,
-            });
-        }
-    }
-    Ok(())
-}
-
-/// Every splat names a row of the map and lies in the picture.
-pub(crate) fn check_splats<T: Real>(
-    map: &GaussianMap<T>,
-    camera: &Camera,
-    splats: &[Projected<T>],
-) -> Result<(), RasterError> {
-    let fits = |s: &Projected<T>| {
-        let f = &s.footprint;
-        (s.index as usize) < map.len()
-            && !f.is_empty()
-            && f.x1 <= camera.width
-            && f.y1 <= camera.height
-    };
-    match splats.iter().position(|s| !fits(s)) {
-        Some(splat) => Err(RasterError::NotThisMap { splat }),
-        None => Ok(()),
     }
 }

@@ -1,11 +1,11 @@
-//! Which splats each tile has to look at, front to back.
+//! The splats of each tile, front to back.
 
 use garad_core::Real;
 
-use crate::project::{PixelRect, Projected};
+use crate::splat::{PixelRect, Projected};
 
-/// Sorts by depth, then by row in the map (R8): a total order, so the picture depends on the
-/// order of the map's rows between equal depths alone, and never on the sort algorithm.
+/// Sorts by depth, then by row in the map (R8): a total order, so the image does
+/// not depend on the sort algorithm, and on the order of the map's rows only where depths are equal.
 pub(crate) fn sort_front_to_back<T: Real>(splats: Vec<Projected<T>>) -> Vec<Projected<T>> {
     // Keys are sorted and rows gathered once: a row is ten times the size of a key.
     let mut order: Vec<(T, u32)> = splats.iter().map(|s| s.depth_m).zip(0..).collect();
@@ -13,7 +13,7 @@ pub(crate) fn sort_front_to_back<T: Real>(splats: Vec<Projected<T>>) -> Vec<Proj
     order.iter().map(|&(_, i)| splats[i as usize]).collect()
 }
 
-/// The picture cut into squares of `tile_px` pixels, and for each the splats whose footprint
+/// The image cut into squares of `tile_px` pixels, and for each the splats whose footprint
 /// reaches into it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Tiles {
@@ -60,7 +60,7 @@ impl Tiles {
         self.starts.len() - 1
     }
 
-    /// The pixels of a tile, cut to the picture.
+    /// The pixels of a tile, cut to the image.
     pub(crate) fn rect(&self, tile: usize) -> PixelRect {
         let [x0, y0] = [tile % self.columns, tile / self.columns].map(|k| k * self.tile_px);
         PixelRect {
@@ -69,6 +69,11 @@ impl Tiles {
             y0,
             y1: (y0 + self.tile_px).min(self.size[1]),
         }
+    }
+
+    /// The tile that a pixel belongs to.
+    pub(crate) fn tile_of(&self, x: usize, y: usize) -> usize {
+        y / self.tile_px * self.columns + x / self.tile_px
     }
 
     /// The tile's splats as positions in the sorted array, front to back.
@@ -93,21 +98,14 @@ mod tests {
     fn splat(index: u32, depth_m: f64, x: [usize; 2], y: [usize; 2]) -> Projected<f64> {
         Projected {
             index,
-            mean_px: [0.0; 2],
             depth_m,
-            conic: [1.0, 0.0, 1.0],
-            shear: 0.0,
-            inv_var_y: 1.0,
-            sigma_px: [1.0; 2],
-            opacity: 0.5,
-            color: [0.0; 3],
-            radius_px: 1,
             footprint: PixelRect {
                 x0: x[0],
                 x1: x[1],
                 y0: y[0],
                 y1: y[1],
             },
+            ..Projected::ZERO
         }
     }
 
@@ -121,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn lists_of_a_picture_of_two_by_two_tiles() {
+    fn lists_of_an_image_of_two_by_two_tiles() {
         // 20 x 18 px in tiles of 16: the right and lower ones are cut.
         let splats = [
             splat(7, 1.0, [0, 20], [0, 18]),  // everywhere
@@ -136,5 +134,8 @@ mod tests {
         let corner = tiles.rect(3);
         assert_eq!((corner.x0, corner.x1), (16, 20), "columns");
         assert_eq!((corner.y0, corner.y1), (16, 18), "rows");
+        let corners = [(0, 0), (16, 15), (15, 16), (19, 17)];
+        let of_pixels = corners.map(|(x, y)| tiles.tile_of(x, y));
+        assert_eq!(of_pixels, [0, 1, 2, 3], "tiles of pixels");
     }
 }

@@ -2,12 +2,12 @@
 
 use garad_core::{GaussianMap, Real, sh};
 
-use crate::covariance::three;
+use crate::scalar::{dot, three};
 
 /// max(0, ½ + Σₖ Yₖ(d) fₖ), d = (mean - c) / |mean - c|, c the camera's centre (R7).
 ///
-/// `None` when a coefficient or the square of a colour is not finite. A mean on the centre itself has no direction; the
-/// near plane has removed it before.
+/// `None` when a coefficient or the square of a colour is not finite. A mean on the centre itself
+/// has no direction; the near plane has removed it before.
 #[inline]
 pub(crate) fn color<T: Real>(map: &GaussianMap<T>, i: usize, center: [T; 3]) -> Option<[T; 3]> {
     let coefficients = map.sh_of(i);
@@ -16,19 +16,19 @@ pub(crate) fn color<T: Real>(map: &GaussianMap<T>, i: usize, center: [T; 3]) -> 
     }
     let (direction, _) = direction(map.means[i], center);
     let rgb = sh::color(map.sh_degree(), coefficients, direction);
-    // A finite square leaves room for every product on the way back.
+    // A finite square leaves room for every product of the backward pass.
     rgb.iter().all(|v| (*v * *v).is_finite()).then_some(rgb)
 }
 
 /// d and the distance |mean - c|, metres.
 #[inline]
 fn direction<T: Real>(mean: [T; 3], center: [T; 3]) -> ([T; 3], T) {
-    let [x, y, z] = three(|k| mean[k] - center[k]);
-    let norm = (x * x + y * y + z * z).sqrt();
-    ([x / norm, y / norm, z / norm], norm)
+    let offset = three(|k| mean[k] - center[k]);
+    let norm = dot(offset, offset).sqrt();
+    (three(|k| offset[k] / norm), norm)
 }
 
-// Cached between the two: the clamped colour, which says by being 0 that the clamp was active.
+// Cached between the two: the clamped colour, which is 0 where the clamp was active.
 
 /// What [`color`] passes back.
 #[derive(Debug, Clone, Copy)]
@@ -40,7 +40,7 @@ pub(crate) struct ColorGradient<T> {
     pub(crate) offset: [T; 3],
 }
 
-/// The way back through [`color`], from ∂L/∂color (R19):
+/// Backward pass of [`color`], from ∂L/∂color (R19):
 ///
 /// ∂L/∂fₖ = Yₖ(d) g,   ∂L/∂(mean - c) = (1 - d dᵀ) Σₖ (fₖ·g) ∇Yₖ(d) / |mean - c|
 ///
@@ -70,14 +70,12 @@ pub(crate) fn color_backward<T: Real>(
     let slopes = sh::basis_gradient(map.sh_degree(), direction);
     let mut d_direction = [T::ZERO; 3];
     for (coefficient, slope) in map.sh_of(i).iter().zip(&slopes) {
-        let pull = coefficient[0] * g[0] + coefficient[1] * g[1] + coefficient[2] * g[2];
+        let d_basis = dot(*coefficient, g);
         for axis in 0..3 {
-            d_direction[axis] += pull * slope[axis];
+            d_direction[axis] += d_basis * slope[axis];
         }
     }
-    let along = direction[0] * d_direction[0]
-        + direction[1] * d_direction[1]
-        + direction[2] * d_direction[2];
+    let along = dot(direction, d_direction);
     ColorGradient {
         basis,
         g,

@@ -1,31 +1,21 @@
-//! The covariance of a Gaussian, from its own axes to the picture and back (R2 to R5, R15 to R18).
+//! The covariance of a Gaussian, from its own axes to the image (R2 to R5), and the backward pass
+//! (R15 to R18).
 //!
 //! Nothing here forms Σ in the world: with M = J W R S, a 2x3 matrix whose columns are the
-//! Gaussian's three half-axes as the picture sees them, the projected covariance is M Mᵀ, and
+//! Gaussian's three half-axes in the image, the projected covariance is M Mᵀ, and
 //! its determinant is a sum of squares that cannot cancel.
 
 use garad_core::Real;
 
-use crate::backward::ClampGradient;
+use crate::options::ClampGradient;
+use crate::scalar::{column, cross, dot, three, two};
 use crate::view::View;
 
 /// Added to both diagonal entries of the projected covariance, px²: no splat is sharper than
 /// about half a pixel, so none falls between pixel centres. Source: 3D Gaussian Splatting.
 pub const BLUR_PX2: f64 = 0.3;
 
-/// (f(0), f(1)); the compiler leaves an array's own `map` as a call.
-#[inline(always)]
-pub(crate) fn two<A>(f: impl Fn(usize) -> A) -> [A; 2] {
-    [f(0), f(1)]
-}
-
-/// (f(0), f(1), f(2)), as [`two`].
-#[inline(always)]
-pub(crate) fn three<A>(f: impl Fn(usize) -> A) -> [A; 3] {
-    [f(0), f(1), f(2)]
-}
-
-/// A symmetric 2x2 covariance in the picture and its determinant.
+/// A symmetric 2x2 covariance in the image and its determinant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Covariance2<T> {
     /// px².
@@ -59,7 +49,7 @@ pub(crate) fn rotation<T: Real>([w, x, y, z]: [T; 4]) -> Option<[[T; 3]; 3]> {
 
 // Cached between the two: nothing; the quaternion is all there is.
 
-/// The way back through [`rotation`], from G = ∂L/∂R to the quaternion as stored (R18):
+/// Backward pass of [`rotation`], from G = ∂L/∂R to the quaternion as stored (R18):
 ///
 /// ∂L/∂q = (1 - q̂ q̂ᵀ) Σᵢⱼ Gᵢⱼ ∂Rᵢⱼ/∂q̂ / |q|
 ///
@@ -118,7 +108,7 @@ pub(crate) struct PixelFromWorldGradient<T> {
     pub(crate) turn: [T; 3],
 }
 
-/// The way back through [`pixel_from_world`], from G = ∂L/∂(J W) (R17).
+/// Backward pass of [`pixel_from_world`], from G = ∂L/∂(J W) (R17).
 ///
 /// Per row g of G, with a its axis, s its clamped slope and h = W g the row seen from the camera:
 ///
@@ -137,12 +127,9 @@ pub(crate) fn pixel_from_world_backward<T: Real>(
     for axis in 0..2 {
         let (slope, is_clamped) = clamped(p_cam[axis] / z, view.slope_limit[axis]);
         let scale = view.focal_px[axis] / z;
-        let (g, row) = (&gradient[axis], &pixel_from_world[axis]);
-        d_p[2] -= (g[0] * row[0] + g[1] * row[1] + g[2] * row[2]) / z;
-        let h = three(|i| {
-            let r = &view.rotation[i];
-            r[0] * g[0] + r[1] * g[1] + r[2] * g[2]
-        });
+        let (g, row) = (gradient[axis], pixel_from_world[axis]);
+        d_p[2] -= dot(g, row) / z;
+        let h = three(|i| dot(view.rotation[i], g));
         let d_slope = -scale * h[2];
         if !is_clamped {
             d_p[axis] += d_slope / z;
@@ -160,16 +147,6 @@ pub(crate) fn pixel_from_world_backward<T: Real>(
     PixelFromWorldGradient { p_cam: d_p, turn }
 }
 
-/// a × b.
-#[inline]
-pub(crate) fn cross<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
-}
-
 /// M = (J W) R S: column k is the k-th half-axis of the 1-sigma ellipsoid, in pixels (R4).
 #[inline]
 pub(crate) fn half_axes<T: Real>(
@@ -177,13 +154,7 @@ pub(crate) fn half_axes<T: Real>(
     rotation: &[[T; 3]; 3],
     sigma_m: [T; 3],
 ) -> [[T; 3]; 2] {
-    two(|a| {
-        let row = &pixel_from_world[a];
-        three(|k| {
-            (row[0] * rotation[0][k] + row[1] * rotation[1][k] + row[2] * rotation[2][k])
-                * sigma_m[k]
-        })
-    })
+    two(|a| three(|k| dot(pixel_from_world[a], column(rotation, k)) * sigma_m[k]))
 }
 
 // Cached between the two: M, J W, R and σ.
@@ -199,7 +170,7 @@ pub(crate) struct HalfAxesGradient<T> {
     pub(crate) log_scale: [T; 3],
 }
 
-/// The way back through [`half_axes`], from G = ∂L/∂M (R16):
+/// Backward pass of [`half_axes`], from G = ∂L/∂M (R16):
 ///
 /// ∂L/∂(J W) = G S Rᵀ,   ∂L/∂R = (J W)ᵀ G S,   ∂L/∂ ln σₖ = m_k · g_k
 #[inline]
@@ -212,10 +183,7 @@ pub(crate) fn half_axes_backward<T: Real>(
 ) -> HalfAxesGradient<T> {
     let gs = two(|a| three(|k| g[a][k] * sigma_m[k]));
     HalfAxesGradient {
-        pixel_from_world: two(|a| {
-            let row = &gs[a];
-            three(|j| row[0] * rotation[j][0] + row[1] * rotation[j][1] + row[2] * rotation[j][2])
-        }),
+        pixel_from_world: two(|a| three(|j| dot(gs[a], rotation[j]))),
         rotation: three(|j| {
             three(|k| pixel_from_world[0][j] * gs[0][k] + pixel_from_world[1][j] * gs[1][k])
         }),
@@ -231,8 +199,7 @@ pub(crate) fn half_axes_backward<T: Real>(
 /// needle of 80 x 0.5 px in f32, xx yy - xy² is off by 4e-4, this by 3e-7.
 #[inline]
 pub(crate) fn covariance<T: Real>(m: &[[T; 3]; 2]) -> Covariance2<T> {
-    let [u, v] = m;
-    let dot = |a: &[T; 3], b: &[T; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let [u, v] = *m;
     let cross = |j: usize, k: usize| u[j] * v[k] - u[k] * v[j];
     let (uu, uv, vv) = (dot(u, u), dot(u, v), dot(v, v));
     let (c01, c02, c12) = (cross(0, 1), cross(0, 2), cross(1, 2));
@@ -247,7 +214,7 @@ pub(crate) fn covariance<T: Real>(m: &[[T; 3]; 2]) -> Covariance2<T> {
 
 // Cached between the two: M.
 
-/// The way back through [`covariance`], from ∂L/∂(Σ'xx, Σ'xy, Σ'yy) to ∂L/∂M (R15).
+/// Backward pass of [`covariance`], from ∂L/∂(Σ'xx, Σ'xy, Σ'yy) to ∂L/∂M (R15).
 ///
 /// Σ'xy stands for both entries off the diagonal. det Σ' is a function of the three and passes
 /// nothing back of its own.

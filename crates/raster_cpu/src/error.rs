@@ -3,6 +3,8 @@
 use garad_core::CameraError;
 use thiserror::Error;
 
+use crate::options::MAX_SIDE_PX;
+
 /// What is wrong with the input of [`crate::render()`], [`crate::backward()`] or a loss.
 ///
 /// A single Gaussian with a bad number is no error: it is invisible (see [`crate::Projected`]).
@@ -24,17 +26,14 @@ pub enum RasterError {
         value: f64,
     },
     /// The tile side.
-    #[error("tiles of {tile_px} px; expected 1 to {}", crate::MAX_SIDE_PX)]
+    #[error("tiles of {tile_px} px; expected 1 to {MAX_SIDE_PX}")]
     TileSize {
         /// What was asked for.
         tile_px: usize,
     },
-    /// The picture.
-    #[error(
-        "picture of {width} x {height} px; expected at most {0} x {0}",
-        crate::MAX_SIDE_PX
-    )]
-    PictureSize {
+    /// The image.
+    #[error("image of {width} x {height} px; expected at most {MAX_SIDE_PX} x {MAX_SIDE_PX}")]
+    ImageSize {
         /// Columns.
         width: usize,
         /// Rows.
@@ -50,21 +49,21 @@ pub enum RasterError {
         /// Rows it has.
         got: usize,
     },
-    /// A picture that is not of the camera's size.
+    /// An image that is not of the camera's size.
     #[error(
-        "{picture} is {} x {} px; expected {} x {}",
+        "{image} is {} x {} px; expected {} x {}",
         got.0, got.1, expected.0, expected.1
     )]
     SizeMismatch {
-        /// Which picture.
-        picture: &'static str,
+        /// Which image.
+        image: &'static str,
         /// The size it should have, (columns, rows).
         expected: (usize, usize),
         /// The size it has.
         got: (usize, usize),
     },
-    /// A picture that this map cannot have been drawn into.
-    #[error("splat {splat} of the picture was not drawn from this map by this camera")]
+    /// An image that this map cannot have been drawn into.
+    #[error("splat {splat} of the image was not drawn from this map by this camera")]
     NotThisMap {
         /// Its place in [`crate::Rendered::projected`].
         splat: usize,
@@ -75,7 +74,7 @@ pub enum RasterError {
         /// What was asked for.
         value: f64,
     },
-    /// The opacity from which on a depth is judged.
+    /// The least opacity at which a depth is compared.
     #[error("min_opacity is {value}; expected above 0, at most 1")]
     MinOpacity {
         /// What was asked for.

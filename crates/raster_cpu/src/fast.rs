@@ -5,13 +5,13 @@
 //! same order; alpha is computed in powers of two and differs in the last bits.
 //!
 //! ```text
-//! depth keys ─ radix sort ─→ project ─→ Splat, 1 cache line ─→ Bands ─→ TilePixels ─→ pictures
+//! depth keys ─ radix sort ─→ project ─→ Splat, 1 cache line ─→ Bands ─→ TilePixels ─→ images
 //!   fast/bin                              fast/splat             bin      forward, lanes
 //! ```
 //!
 //! What makes it fast: the ellipse outside which alpha < 1/255 is solved for all rows of a tile
 //! at once and leaves a bit mask of blocks of 4 x 2 pixels to visit; branches are masks; a row of tiles is
-//! binned, blended and written by one task, straight into its stripe of every picture.
+//! binned, blended and written by one task, straight into its stripe of every image.
 
 mod backward;
 mod bin;
@@ -19,6 +19,8 @@ mod forward;
 mod gather;
 mod lanes;
 mod splat;
+
+use std::slice::ChunksMut;
 
 use garad_core::{Camera, GaussianMap, Image, Par, Real, Se3};
 use wide::bytemuck::cast;
@@ -28,31 +30,34 @@ use self::backward::{Rows, Sums, TileBackward};
 use self::bin::{Bands, Columns, Entry, sorted};
 use self::forward::{TilePixels, corner};
 use self::splat::{Splat, prepare};
-use crate::backward::{Gradients, Upstream, check_pictures, check_splats};
+use crate::backward::Gradients;
 use crate::error::RasterError;
-use crate::project::{FOOTPRINT_CELL_PX, Projected, project_range};
-use crate::render::{Include, RenderOptions, Rendered, check};
+use crate::options::{Include, RenderOptions};
+use crate::project::{FOOTPRINT_CELL_PX, project_range};
+use crate::rendered::{Rendered, Upstream};
+use crate::splat::Projected;
+use crate::validate::{check_images, check_scene, check_splats};
 use crate::view::View;
 
-/// Gaussians looked at by one task.
+/// Gaussians of one task.
 const CHUNK: usize = 1024;
 /// Tiles here are the footprint's cells, so that a footprint covers a tile or misses it.
 const TILE_PX: usize = FOOTPRINT_CELL_PX;
 /// Ranks are kept as f32 and exact below this.
 const MAX_SPLATS: usize = 1 << 24;
 
-/// The reference serves what this module is not made for.
+/// Other options and larger maps are left to the reference.
 fn can_serve(map: &GaussianMap<f32>, options: &RenderOptions) -> bool {
     options.tile_px == TILE_PX && map.len() < MAX_SPLATS
 }
 
-/// Draws a map as [`crate::render()`] does, in a fraction of the time.
+/// [`crate::render()`] in a fraction of the time.
 ///
 /// Formulas, shapes and units are those of the reference. Spec test: `fast_is_the_reference`.
 ///
 /// # Numerics
 /// f32; the same bits for every `par`, with and without AVX. Splats and radii are the reference's,
-/// bit for bit. Against the reference in f64 pictures are as close as the reference in f32 is, but
+/// bit for bit. Against the reference in f64 images are as close as the reference in f32 is, but
 /// where an alpha or a transmittance is within about 3e-7 of a cut (R10, R11): there a splat of
 /// weight up to 0.01 may be blended by one and not by the other. Any `tile_px` but 16 is handed
 /// to the reference.
@@ -75,9 +80,9 @@ fn can_serve(map: &GaussianMap<f32>, options: &RenderOptions) -> bool {
 /// let camera = Camera::pinhole((40, 30), [30.0, 30.0, 19.5, 14.5])?;
 /// let (pose, options) = (Se3::default(), RenderOptions::default());
 /// let reference = render(&map, &camera, &pose, &options, Par::Seq)?;
-/// let picture = fast::render(&map, &camera, &pose, &options, Par::Threads(2))?;
-/// assert_eq!(picture.projected, reference.projected);
-/// assert!((picture.depth[(20, 15)] - reference.depth[(20, 15)]).abs() < 1e-6);
+/// let image = fast::render(&map, &camera, &pose, &options, Par::Threads(2))?;
+/// assert_eq!(image.projected, reference.projected);
+/// assert!((image.depth[(20, 15)] - reference.depth[(20, 15)]).abs() < 1e-6);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn render(
@@ -90,7 +95,7 @@ pub fn render(
     if !can_serve(map, options) {
         return crate::render(map, camera, camera_from_world, options, par);
     }
-    check(map, camera, camera_from_world, options)?;
+    check_scene(map, camera, camera_from_world, options)?;
     let view = View::new(camera, camera_from_world);
     let (projected, splats) = project_sorted(map, &view, options.include, par);
     let [width, height] = view.size;
@@ -117,11 +122,15 @@ pub fn render(
         rendered.radii[splat.index as usize] = splat.radius_px;
     }
     rendered.projected = projected;
-    debug_assert_eq!(rendered.validate(), Ok(()), "what render promises");
+    debug_assert_eq!(
+        rendered.validate(),
+        Ok(()),
+        "the rendered images are consistent"
+    );
     Ok(rendered)
 }
 
-/// The gradients that [`crate::backward()`] computes, in a fraction of the time.
+/// [`crate::backward()`] in a fraction of the time.
 ///
 /// Formulas, shapes and units are those of the reference. Spec test:
 /// `fast_gradients_are_those_of_the_reference`.
@@ -147,8 +156,8 @@ pub fn backward(
         let pose = camera_from_world;
         return crate::backward(map, camera, pose, options, rendered, upstream, par);
     }
-    check(map, camera, camera_from_world, options)?;
-    check_pictures(camera, rendered, upstream)?;
+    check_scene(map, camera, camera_from_world, options)?;
+    check_images(camera, rendered, upstream)?;
     check_splats(map, camera, &rendered.projected)?;
     let view = View::new(camera, camera_from_world);
     let [width, height] = view.size;
@@ -177,7 +186,7 @@ pub fn backward(
                 }
             });
             let rows: Vec<Rows> = rows.collect();
-            TileBackward::new(&rows).take_back(
+            TileBackward::new(&rows).accumulate(
                 places.len(),
                 |entry| &columns.splats[places[entry] as usize],
                 [x0 as f32, y0 as f32],
@@ -205,7 +214,7 @@ fn project_sorted(
     let mut projected = Vec::with_capacity(map.len());
     let mut splats = Vec::with_capacity(map.len());
     // Every chunk has places of its own, of which it fills the first.
-    let mut places = vec![Projected::NOTHING; map.len()];
+    let mut places = vec![Projected::ZERO; map.len()];
     let mut filled: Vec<_> = places.chunks_mut(CHUNK).map(|chunk| (0, chunk)).collect();
     par.for_each_chunk_mut(&mut filled, 1, |chunk, filled| {
         for (count, places) in filled {
@@ -224,7 +233,7 @@ fn project_sorted(
         keys.zip(first..)
     });
     let order = sorted(numbered.collect());
-    projected.resize(order.len(), Projected::NOTHING);
+    projected.resize(order.len(), Projected::ZERO);
     splats.resize(order.len(), Splat::default());
     let pieces = projected.chunks_mut(CHUNK).zip(splats.chunks_mut(CHUNK));
     let mut pieces: Vec<_> = pieces.zip(order.chunks(CHUNK)).collect();
@@ -242,7 +251,7 @@ fn project_sorted(
     (projected, splats)
 }
 
-/// One row of tiles in every picture.
+/// One row of tiles in every image.
 #[derive(Debug)]
 struct Stripe<'a> {
     width: usize,
@@ -255,8 +264,11 @@ struct Stripe<'a> {
 }
 
 impl<'a> Stripe<'a> {
-    /// Every picture cut below each row of tiles.
+    /// Every image cut below each row of tiles.
     fn cut(rendered: &'a mut Rendered<f32>, width: usize) -> Vec<Self> {
+        fn next<'b, A>(rows: &mut ChunksMut<'b, A>) -> &'b mut [A] {
+            rows.next().expect("all images are of one size")
+        }
         let n = width * TILE_PX;
         let mut depth = rendered.depth.data_mut().chunks_mut(n);
         let mut opacity = rendered.opacity.data_mut().chunks_mut(n);
@@ -264,19 +276,16 @@ impl<'a> Stripe<'a> {
         let mut contributors = rendered.contributors.data_mut().chunks_mut(n);
         let mut last = rendered.last.data_mut().chunks_mut(n);
         let colors = rendered.color.data_mut().chunks_mut(n);
-        colors
-            .filter_map(|color| {
-                Some(Self {
-                    width,
-                    color,
-                    depth: depth.next()?,
-                    opacity: opacity.next()?,
-                    transmittance: transmittance.next()?,
-                    contributors: contributors.next()?,
-                    last: last.next()?,
-                })
-            })
-            .collect()
+        let stripes = colors.map(|color| Self {
+            width,
+            color,
+            depth: next(&mut depth),
+            opacity: next(&mut opacity),
+            transmittance: next(&mut transmittance),
+            contributors: next(&mut contributors),
+            last: next(&mut last),
+        });
+        stripes.collect()
     }
 
     /// Bins, blends and writes the band's tiles.

@@ -1,15 +1,16 @@
-//! One Gaussian becomes one splat, [`Projected`] (R1 to R7), and its gradient comes back (R15 to R20).
+//! One Gaussian becomes one splat, [`Projected`] (R1 to R7), and the backward pass (R15 to R20).
 
 use garad_core::{GaussianMap, Label, Par, Real, sh};
 
-use crate::backward::ClampGradient;
 use crate::color::{color, color_backward};
-use crate::composite::SplatGradient;
 use crate::covariance::{
-    Covariance2, covariance, covariance_backward, cross, half_axes, half_axes_backward,
-    pixel_from_world, pixel_from_world_backward, rotation, rotation_backward, three, two,
+    Covariance2, covariance, covariance_backward, half_axes, half_axes_backward, pixel_from_world,
+    pixel_from_world_backward, rotation, rotation_backward,
 };
-use crate::render::Include;
+use crate::options::{ClampGradient, Include};
+use crate::scalar::{column, cross, dot, saturate, sigmoid, three, to_index, two};
+use crate::splat::{PixelRect, Projected};
+use crate::splat_gradient::SplatGradient;
 use crate::view::View;
 
 /// Gaussians at this distance along z or nearer are not drawn, metres: the projection is
@@ -17,88 +18,12 @@ use crate::view::View;
 pub const NEAR_M: f64 = 0.2;
 
 /// Side of the cells that a footprint is rounded out to, pixels (R6). This is the tile of the
-/// CUDA rasterizer and part of the picture's definition; [`crate::RenderOptions::tile_px`] is
-/// how work is cut and changes nothing.
+/// CUDA rasterizer and part of the image's definition; [`crate::RenderOptions::tile_px`] is
+/// how work is cut and does not change the image.
 pub const FOOTPRINT_CELL_PX: usize = 16;
 
 /// Gaussians projected by one task.
 const CHUNK: usize = 512;
-
-/// A half-open rectangle of pixels, [x0, x1) x [y0, y1).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PixelRect {
-    /// First column.
-    pub x0: usize,
-    /// Column after the last.
-    pub x1: usize,
-    /// First row.
-    pub y0: usize,
-    /// Row after the last.
-    pub y1: usize,
-}
-
-impl PixelRect {
-    /// Holds no pixel.
-    #[inline]
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.x0 >= self.x1 || self.y0 >= self.y1
-    }
-}
-
-/// A visible Gaussian as the picture sees it.
-///
-/// A Gaussian is invisible, and never an error, when its label is not asked for, when its
-/// z ≤ 0.2 m, when its footprint misses the picture, when one of its numbers is not finite, when
-/// its quaternion has no direction, or when its projection or the square of its depth or colour
-/// overflows.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Projected<T> {
-    /// Row in the map.
-    pub index: u32,
-    /// Centre, pixels.
-    pub mean_px: [T; 2],
-    /// z of the mean in the camera, metres: the sort key.
-    pub depth_m: T,
-    /// (a, b, c) of the inverse covariance [a, b; b, c], px⁻².
-    pub conic: [T; 3],
-    /// b/a, computed as -Σ'xy / Σ'yy.
-    pub shear: T,
-    /// 1/Σ'yy, px⁻².
-    pub inv_var_y: T,
-    /// √(Σ'xx), √(Σ'yy), pixels.
-    pub sigma_px: [T; 2],
-    /// sigmoid(logit), in [0, 1].
-    pub opacity: T,
-    /// ≥ 0 per channel.
-    pub color: [T; 3],
-    /// ⌈3 √λmax⌉, pixels.
-    pub radius_px: i32,
-    /// The pixels it may touch.
-    pub footprint: PixelRect,
-}
-
-impl<T: Real> Projected<T> {
-    /// What a place holds before a splat is put there.
-    pub(crate) const NOTHING: Self = Self {
-        index: 0,
-        mean_px: [T::ZERO; 2],
-        depth_m: T::ZERO,
-        conic: [T::ZERO; 3],
-        shear: T::ZERO,
-        inv_var_y: T::ZERO,
-        sigma_px: [T::ZERO; 2],
-        opacity: T::ZERO,
-        color: [T::ZERO; 3],
-        radius_px: 0,
-        footprint: PixelRect {
-            x0: 0,
-            x1: 0,
-            y0: 0,
-            y1: 0,
-        },
-    };
-}
 
 /// The visible splats of a map, in map order.
 ///
@@ -137,7 +62,7 @@ fn project_one<T: Real>(map: &GaussianMap<T>, i: usize, view: &View<T>) -> Optio
     // R1: p = R mean + t, (u, v) = (fx x/z + cx, fy y/z + cy).
     let p_cam = camera_point(view, map.means[i]);
     let [x, y, z] = p_cam;
-    // A finite square leaves room for every product on the way back.
+    // A finite square leaves room for every product of the backward pass.
     if !(z * z).is_finite() || z <= T::from_f64(NEAR_M) {
         return None;
     }
@@ -146,7 +71,7 @@ fn project_one<T: Real>(map: &GaussianMap<T>, i: usize, view: &View<T>) -> Optio
         view.focal_px[1] * (y / z) + view.principal_px[1],
     ];
 
-    // R2 to R5: the covariance in the picture.
+    // R2 to R5: the covariance in the image.
     let sigma_m = three(|k| map.log_scales[i][k].exp());
     let m = half_axes(
         &pixel_from_world(view, p_cam),
@@ -155,7 +80,7 @@ fn project_one<T: Real>(map: &GaussianMap<T>, i: usize, view: &View<T>) -> Optio
     );
     let cov = covariance(&m);
 
-    // R6: what it may touch.
+    // R6: the pixels it may touch.
     let radius = radius(&cov);
     if !(cov.det.is_finite() && radius.is_finite() && mean_px.iter().all(|v| v.is_finite())) {
         return None;
@@ -165,13 +90,13 @@ fn project_one<T: Real>(map: &GaussianMap<T>, i: usize, view: &View<T>) -> Optio
         return None;
     }
 
-    // R9, R7: how much it hides, and its colour.
+    // R9, R7: opacity and colour.
     let opacity = sigmoid(map.opacity_logits[i]);
     if !opacity.is_finite() {
         return None;
     }
     Some(Projected {
-        index: u32::try_from(i).ok()?,
+        index: u32::try_from(i).expect("fewer than 2³² Gaussians"),
         mean_px,
         depth_m: z,
         conic: [cov.yy / cov.det, -cov.xy / cov.det, cov.xx / cov.det],
@@ -185,8 +110,8 @@ fn project_one<T: Real>(map: &GaussianMap<T>, i: usize, view: &View<T>) -> Optio
     })
 }
 
-// Cached between the two: the splat's colour, opacity and depth. The rest of the way from the
-// parameters is cheap beside the pixels and is walked again.
+// Cached between the two: the splat's colour, opacity and depth. The other steps from the
+// parameters are cheap beside the pixels and are computed again.
 
 /// The gradient of one Gaussian's row.
 #[derive(Debug, Clone, Copy)]
@@ -198,20 +123,20 @@ pub(crate) struct RowGradient<T> {
     /// That of the k-th SH triple is `basis[k] color`.
     pub(crate) basis: [T; sh::MAX_COEFFICIENTS],
     pub(crate) color: [T; 3],
-    /// Its share of the pose's gradient, (translation, rotation).
+    /// Its term of the pose's gradient, (translation, rotation).
     pub(crate) pose: [T; 6],
 }
 
 impl<T: Real> RowGradient<T> {
     /// Writes the gradients of as many SH triples as `out` holds.
-    pub(crate) fn put_sh(&self, out: &mut [[T; 3]]) {
+    pub(crate) fn write_sh(&self, out: &mut [[T; 3]]) {
         for (out, &basis) in out.iter_mut().zip(&self.basis) {
             *out = three(|k| basis * self.color[k]);
         }
     }
 }
 
-/// The way back through [`project_one`] (R15 to R20). `None` where the row was never drawn.
+/// Backward pass of [`project_one`] (R15 to R20). `None` where the row cannot have been drawn.
 ///
 /// With p = W mean + t and the pose on its left, exp(ρ, φ): ∂p/∂mean = W, ∂p/∂ρ = 1, φ moves p by
 /// φ × p. The direction of view is Wᵀ p/|p|, which only ρ and the mean turn.
@@ -231,7 +156,7 @@ pub(crate) fn project_one_backward<T: Real>(
     let jw = pixel_from_world(view, p_cam);
     let m = half_axes(&jw, &rotation, sigma_m);
 
-    // R2 to R5: from the covariance in the picture to shape, orientation and place.
+    // R2 to R5: from the covariance in the image to shape, orientation and place.
     let d_m = covariance_backward(&m, d.covariance);
     let d_axes = half_axes_backward(&jw, &rotation, sigma_m, &m, &d_m);
     let d_jw = pixel_from_world_backward(view, p_cam, &jw, &d_axes.pixel_from_world, clamp);
@@ -248,13 +173,10 @@ pub(crate) fn project_one_backward<T: Real>(
     // R7: and the direction it is seen from.
     let d_color = color_backward(map, i, view.center, splat.color, d.color);
     let w = &view.rotation;
-    let across = three(|i| {
-        let o = &d_color.offset;
-        w[i][0] * o[0] + w[i][1] * o[1] + w[i][2] * o[2]
-    });
+    let across = three(|i| dot(w[i], d_color.offset));
     let lever = cross(p_cam, d_p);
     Some(RowGradient {
-        mean: three(|j| w[0][j] * d_p[0] + w[1][j] * d_p[1] + w[2][j] * d_p[2] + d_color.offset[j]),
+        mean: three(|j| dot(column(w, j), d_p) + d_color.offset[j]),
         log_scale: d_axes.log_scale,
         quaternion: rotation_backward(map.quaternions[i], &d_axes.rotation),
         // 1 - sigmoid(o) = sigmoid(-o), without the difference.
@@ -276,13 +198,7 @@ pub(crate) fn project_one_backward<T: Real>(
 #[inline]
 fn camera_point<T: Real>(view: &View<T>, mean: [T; 3]) -> [T; 3] {
     let (r, t) = (&view.rotation, &view.translation);
-    three(|i| r[i][0] * mean[0] + r[i][1] * mean[1] + r[i][2] * mean[2] + t[i])
-}
-
-/// 1 / (1 + e⁻ˣ).
-#[inline]
-pub(crate) fn sigmoid<T: Real>(x: T) -> T {
-    T::ONE / (T::ONE + (-x).exp())
+    three(|i| dot(r[i], mean) + t[i])
 }
 
 /// ⌈3 √λ⌉, λ = mid + √max(0.1, ((xx - yy)/2)² + xy²), mid = (xx + yy)/2 (R6).
@@ -299,11 +215,11 @@ fn radius<T: Real>(cov: &Covariance2<T>) -> T {
     (T::from_f64(3.0) * largest.sqrt()).ceil()
 }
 
-/// The square mean ± radius rounded out to cells of 16 px and cut to the picture (R6).
+/// The square mean ± radius rounded out to cells of 16 px and cut to the image (R6).
 ///
 /// Per axis the cells ⌊(m - r)/16⌋ .. ⌊(m + r + 15)/16⌋, the second one excluded. Nothing is
 /// drawn outside, even where alpha would still reach 1/255 (3 sigma cut off up to 1.1 % of an
-/// opaque splat): that is the definition all trained maps are used to.
+/// opaque splat): trained maps assume this definition.
 #[inline]
 fn footprint<T: Real>(mean_px: [T; 2], radius: T, size: [usize; 2]) -> PixelRect {
     let cell = T::from_f64(FOOTPRINT_CELL_PX as f64);
@@ -316,24 +232,6 @@ fn footprint<T: Real>(mean_px: [T; 2], radius: T, size: [usize; 2]) -> PixelRect
         )
     });
     PixelRect { x0, x1, y0, y1 }
-}
-
-/// A coordinate as an index: below 0 and NaN become 0, beyond the range its end.
-#[inline]
-#[allow(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "`as` saturates, which is what a cut to the picture needs"
-)]
-pub(crate) fn to_index<T: Real>(x: T) -> usize {
-    x.to_f64() as usize
-}
-
-/// A radius as an integer; beyond the range its end.
-#[inline]
-#[allow(clippy::cast_possible_truncation, reason = "`as` saturates")]
-fn saturate<T: Real>(radius: T) -> i32 {
-    radius.to_f64() as i32
 }
 
 #[cfg(test)]
@@ -369,7 +267,6 @@ mod tests {
             det: 400.0,
         };
         assert_eq!(saturate(radius(&turned)), 30, "whatever its angle");
-        assert_eq!(saturate(1e30f64), i32::MAX, "saturates");
     }
 
     #[test]
@@ -383,19 +280,11 @@ mod tests {
         assert_eq!(at(8.0, 9.0), (0, 32), "beyond it: 17 + 15 = 32");
         assert_eq!(at(20.0, 4.0), (16, 32), "starts on the edge");
         assert_eq!(at(20.0, 4.5), (0, 32), "or before it");
-        assert_eq!(at(39.0, 5.0), (32, 40), "cut to the picture");
+        assert_eq!(at(39.0, 5.0), (32, 40), "cut to the image");
         assert_eq!(at(8.0, 1e30), (0, 40), "everywhere");
         // -19 + 4 + 15 = 0: the cell before the first one is the last.
         assert!(footprint([-19.0, 8.0], 4.0, [40, 16]).is_empty(), "left");
         assert_eq!(at(-19.0, 20.0), (0, 16), "one pixel in");
         assert!(footprint([60.0, 8.0], 4.0, [40, 16]).is_empty(), "right");
-    }
-
-    #[test]
-    fn sigmoid_reaches_both_ends() {
-        assert!((sigmoid(0.0f64) - 0.5).abs() < 1e-16, "middle");
-        assert!((sigmoid(-700.0f64)).abs() < 1e-300, "transparent");
-        assert!((sigmoid(f32::NEG_INFINITY)).abs() < 1e-38, "absent");
-        assert!((sigmoid(1000.0f32) - 1.0).abs() < 1e-7, "opaque");
     }
 }

@@ -1,10 +1,10 @@
-//! [`View`]: camera and pose in the width the picture is computed in.
+//! [`View`]: camera and pose, rounded to the type the image is computed in.
 
 use garad_core::{Camera, Real, Se3};
 
-/// How far outside the picture the projection is still linearised faithfully, as a multiple of
+/// How far outside the image the projection is still linearised faithfully, as a multiple of
 /// half the field of view. Beyond it x/z is clamped inside the Jacobian (R3): a Gaussian far to
-/// the side would otherwise be smeared across the picture. Source: 3D Gaussian Splatting.
+/// the side would otherwise be smeared across the image. Source: 3D Gaussian Splatting.
 pub const JACOBIAN_CLAMP: f64 = 1.3;
 
 /// Everything about the camera that a Gaussian's projection reads.
@@ -24,7 +24,7 @@ pub(crate) struct View<T> {
     /// is symmetric about the optical axis even when the principal point is off the middle, as
     /// in the CUDA rasterizer.
     pub(crate) slope_limit: [T; 2],
-    /// Columns and rows of the picture.
+    /// Columns and rows of the image.
     pub(crate) size: [usize; 2],
 }
 

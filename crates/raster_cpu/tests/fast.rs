@@ -1,10 +1,10 @@
-//! The fast rasterizer is held to the reference: its splats bit for bit, its pictures and
+//! The fast rasterizer against the reference: its splats bit for bit, its images and
 //! gradients to what f32 can do, pixels at a cut to what the cut can move.
 
 mod common;
 
-use common::{camera, map, pose};
-use garad_core::{Camera, GaussianMap, Image, KeyframeId, NewGaussian, Par, Real, Rng, Se3};
+use common::{GRADIENT_COST, camera, map, narrow, pose, tensors, upstream};
+use garad_core::{Camera, GaussianMap, Image, KeyframeId, NewGaussian, Par, Real, Se3};
 use garad_raster::{
     ClampGradient, Gradients, Include, RasterError, RenderOptions, Rendered, Upstream, backward,
     fast, render,
@@ -14,23 +14,23 @@ use proptest::prelude::*;
 /// What f32 costs color, depth and transmittance: measured on a reference in f32 against itself
 /// in f64, largest difference by largest value, for 20 000 Gaussians.
 const COST: [f64; 3] = [6.8e-6, 6.6e-6, 7.0e-6];
-/// A splat that one of two pictures leaves out at a cut has at most this weight: alpha T with
+/// A splat that one of two images leaves out at a cut has at most this weight: alpha T with
 /// T (1 - alpha) = 1e-4 and alpha = 0.99.
 const FLIP: f64 = 0.0101;
 
 /// The same bits for one to three threads; splats and radii those of the reference; pixels that
 /// blend as many splats within 8 times what f32 costs, others within a flip. Returns the fast
-/// picture and how many pixels flip.
-fn assert_same_picture(
+/// image and how many pixels flip.
+fn assert_same_image(
     map: &GaussianMap<f32>,
     camera: &Camera,
     pose: &Se3,
     options: &RenderOptions,
 ) -> (Rendered<f32>, usize) {
-    let reference = render(map, camera, pose, options, Par::Seq).expect("a picture");
-    let ours = fast::render(map, camera, pose, options, Par::Seq).expect("a picture");
+    let reference = render(map, camera, pose, options, Par::Seq).expect("an image");
+    let ours = fast::render(map, camera, pose, options, Par::Seq).expect("an image");
     for threads in [2, 3] {
-        let many = fast::render(map, camera, pose, options, Par::new(threads)).expect("a picture");
+        let many = fast::render(map, camera, pose, options, Par::new(threads)).expect("an image");
         assert!(many == ours, "{threads} threads");
     }
     assert_eq!(ours.validate(), Ok(()), "consistent");
@@ -41,7 +41,7 @@ fn assert_same_picture(
         let (depth, t) = (f64::from(p.depth[at]), f64::from(p.transmittance[at]));
         [(0, r), (0, g), (0, b), (1, depth), (2, t)]
     };
-    // A weight is multiplied by a colour or a depth; the picture's largest may be smaller.
+    // A weight is multiplied by a colour or a depth; the image's largest may be smaller.
     let of_splats = ours.projected.iter().fold([1.0f64; 3], |[c, d, t], s| {
         let bright = s.color.iter().fold(c, |c, v| c.max(f64::from(*v)));
         [bright, d.max(f64::from(s.depth_m)), t]
@@ -64,7 +64,7 @@ fn assert_same_picture(
             };
             assert!(
                 (a - b).abs() <= allowed,
-                "{at:?}: {a} against {b}, picture {kind}, as many splats: {same}"
+                "{at:?}: {a} against {b}, image {kind}, as many splats: {same}"
             );
         }
     }
@@ -74,7 +74,7 @@ fn assert_same_picture(
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// Random scenes in pictures whose last tiles are cut anywhere.
+    /// Random scenes in images whose last tiles are cut anywhere.
     #[test]
     fn fast_is_the_reference(
         seed in 0u64..1_000_000,
@@ -87,8 +87,8 @@ proptest! {
         let camera = Camera { width: size.0, height: size.1, ..camera() };
         let include = [Include::All, Include::StaticOnly, Include::DynamicOnly][which];
         let options = RenderOptions { background, include, tile_px, ..RenderOptions::default() };
-        let (_, flips) = assert_same_picture(&map, &camera, &pose(), &options);
-        // 1 in 200, and a few in pictures of a few pixels.
+        let (_, flips) = assert_same_image(&map, &camera, &pose(), &options);
+        // 1 in 200, and a few in images of a few pixels.
         prop_assert!(flips * 200 <= size.0 * size.1 + 400, "{flips} pixels at a cut");
     }
 }
@@ -110,7 +110,7 @@ fn ball(z: f32, sigma_m: f32, opacity: f32) -> NewGaussian<f32> {
 fn fast_is_the_reference_on_the_cuts() {
     let camera = Camera::pinhole((41, 37), [30.0, 30.0, 20.3, 18.2]).expect("valid");
     let draw = |map: &GaussianMap<f32>| {
-        assert_same_picture(map, &camera, &Se3::default(), &RenderOptions::default())
+        assert_same_image(map, &camera, &Se3::default(), &RenderOptions::default())
     };
     let near = |x: f32| {
         [-64i32, -8, 0, 8, 64].map(|step| f32::from_bits(x.to_bits().wrapping_add_signed(step)))
@@ -120,8 +120,8 @@ fn fast_is_the_reference_on_the_cuts() {
         let mut map = GaussianMap::new(0);
         map.push(&ball(2.0, 30.0, opacity));
         map.push(&ball(3.0, 0.2, opacity));
-        let (picture, flips) = draw(&map);
-        counts.push((picture.contributors.data().iter().sum::<u32>(), flips));
+        let (image, flips) = draw(&map);
+        counts.push((image.contributors.data().iter().sum::<u32>(), flips));
     }
     assert!(counts[0].0 < counts[4].0, "the cut is crossed: {counts:?}");
     let sure = [0, 4, 5, 9].map(|k| counts[k].1);
@@ -188,56 +188,15 @@ fn fast_is_the_reference_in_a_crowd() {
     for i in (0..3996).step_by(4) {
         map.means[i + 1] = map.means[i];
     }
-    let (_, flips) = assert_same_picture(&map, &camera(), &pose(), &RenderOptions::default());
+    let (_, flips) = assert_same_image(&map, &camera(), &pose(), &RenderOptions::default());
     assert!(flips < 35, "{flips} of 3500 pixels at a cut");
 }
 
-fn upstream(seed: u64, camera: &Camera) -> Upstream<f64> {
-    let mut rng = Rng::keyed(seed, &[1]);
-    let (w, h) = (camera.width, camera.height);
-    Upstream {
-        color: Image::from_fn(w, h, |_, _| [0; 3].map(|_| rng.normal())),
-        depth: Some(Image::from_fn(w, h, |_, _| rng.normal())),
-        opacity: Some(Image::from_fn(w, h, |_, _| rng.normal())),
-    }
-}
-
-fn narrow(up: &Upstream<f64>) -> Upstream<f32> {
-    let image = |i: &Image<f64>| i.map(|v| v.to_f32());
-    Upstream {
-        color: up.color.map(|c| c.map(Real::to_f32)),
-        depth: up.depth.as_ref().map(image),
-        opacity: up.opacity.as_ref().map(image),
-    }
-}
-
-/// Every gradient, and what f32 costs it: measured on a reference in
-/// f32 against itself in f64, largest difference by largest value, for 20 000 Gaussians.
-fn tensors<T: Real>(g: &Gradients<T>) -> Vec<(&'static str, f64, Vec<f64>)> {
-    fn flat<T: Real, const N: usize>(rows: &[[T; N]]) -> Vec<f64> {
-        rows.iter().flatten().map(|v| v.to_f64()).collect()
-    }
-    let column = |v: &[T]| v.iter().map(|v| v.to_f64()).collect();
-    vec![
-        ("means", 9.2e-6, flat(&g.means)),
-        ("log_scales", 6.2e-6, flat(&g.log_scales)),
-        ("quaternions", 7.5e-6, flat(&g.quaternions)),
-        ("opacity_logits", 7.1e-6, column(&g.opacity_logits)),
-        ("sh", 8.1e-6, flat(&g.sh)),
-        ("pose", 2.0e-5, column(&g.pose)),
-        ("means2d", 8.3e-6, flat(&g.means2d)),
-        ("conics", 8.4e-6, flat(&g.conics)),
-        ("opacities", 7.1e-6, column(&g.opacities)),
-        ("colors", 8.1e-6, flat(&g.colors)),
-        ("depths", 8.1e-6, column(&g.depths)),
-    ]
-}
-
-/// Largest difference by largest value, in units of the table, per tensor.
+/// Largest difference by largest value, in units of [`GRADIENT_COST`], per tensor.
 fn distances<A: Real, B: Real>(a: &Gradients<A>, b: &Gradients<B>) -> Vec<(&'static str, f64)> {
-    let pairs = tensors(a).into_iter().zip(tensors(b));
+    let pairs = tensors(a).into_iter().zip(tensors(b)).zip(GRADIENT_COST);
     pairs
-        .map(|((name, unit, a), (_, _, b))| {
+        .map(|(((name, a), (_, b)), unit)| {
             let largest = b.iter().fold(0.0f64, |m, v| m.max(v.abs()));
             let difference = a
                 .iter()
@@ -266,16 +225,16 @@ fn fast_gradients_are_those_of_the_reference() {
         };
         let (wide_map, mut up) = (map(seed, 150), upstream(seed, &camera));
         let map = wide_map.cast::<f32>();
-        let picture = fast::render(&map, &camera, &pose, &options, Par::Seq).expect("a picture");
-        let like = render(&map, &camera, &pose, &options, Par::Seq).expect("a picture");
+        let image = fast::render(&map, &camera, &pose, &options, Par::Seq).expect("an image");
+        let like = render(&map, &camera, &pose, &options, Par::Seq).expect("an image");
         let wide_map = map.cast::<f64>();
-        let wide = render(&wide_map, &camera, &pose, &options, Par::Seq).expect("a picture");
+        let wide = render(&wide_map, &camera, &pose, &options, Par::Seq).expect("an image");
         let mut lost = 0;
         for y in 0..camera.height {
             for x in 0..camera.width {
                 let at = (x, y);
                 let met = [
-                    (picture.contributors[at], picture.last[at]),
+                    (image.contributors[at], image.last[at]),
                     (like.contributors[at], like.last[at]),
                     (wide.contributors[at], wide.last[at]),
                 ];
@@ -297,7 +256,7 @@ fn fast_gradients_are_those_of_the_reference() {
             depth: narrow.depth.as_ref().map(|i| i.map(|&v| f64::from(v))),
             opacity: narrow.opacity.as_ref().map(|i| i.map(|&v| f64::from(v))),
         };
-        let ours = fast::backward(&map, &camera, &pose, &options, &picture, &narrow, Par::Seq)
+        let ours = fast::backward(&map, &camera, &pose, &options, &image, &narrow, Par::Seq)
             .expect("gradients");
         let same =
             backward(&map, &camera, &pose, &options, &like, &narrow, Par::Seq).expect("gradients");
@@ -321,7 +280,7 @@ fn fast_gradients_are_those_of_the_reference() {
                 &camera,
                 &pose,
                 &options,
-                &picture,
+                &image,
                 &narrow,
                 Par::new(threads),
             );
@@ -330,22 +289,22 @@ fn fast_gradients_are_those_of_the_reference() {
     }
 }
 
-/// A NaN at a pixel reaches the splats of that pixel and no other.
+/// A NaN at a pixel reaches the splats of that pixel and no others.
 #[test]
-fn a_nan_from_above_spoils_what_the_reference_says_it_spoils() {
+fn an_upstream_nan_reaches_the_same_rows_as_in_the_reference() {
     let (camera, pose, options) = (camera(), pose(), RenderOptions::default());
     let map = map(11, 60).cast::<f32>();
-    let picture = fast::render(&map, &camera, &pose, &options, Par::Seq).expect("a picture");
+    let image = fast::render(&map, &camera, &pose, &options, Par::Seq).expect("an image");
     let mut up = narrow(&upstream(11, &camera));
     up.color[(33, 21)][1] = f32::NAN;
     let both = [
-        backward(&map, &camera, &pose, &options, &picture, &up, Par::Seq),
-        fast::backward(&map, &camera, &pose, &options, &picture, &up, Par::Seq),
+        backward(&map, &camera, &pose, &options, &image, &up, Par::Seq),
+        fast::backward(&map, &camera, &pose, &options, &image, &up, Par::Seq),
     ]
     .map(|g| g.expect("gradients").means2d);
-    let spoilt = both.map(|m| m.iter().map(|v| v[0].is_nan()).collect::<Vec<_>>());
-    assert_eq!(spoilt[0], spoilt[1], "the same rows");
-    let n = spoilt[0].iter().filter(|s| **s).count();
+    let reached = both.map(|m| m.iter().map(|v| v[0].is_nan()).collect::<Vec<_>>());
+    assert_eq!(reached[0], reached[1], "the same rows");
+    let n = reached[0].iter().filter(|s| **s).count();
     assert!(n > 0 && n < 40, "{n} rows");
 }
 
@@ -353,40 +312,40 @@ fn a_nan_from_above_spoils_what_the_reference_says_it_spoils() {
 fn fast_refuses_what_the_reference_refuses() {
     let (camera, pose, options) = (camera(), pose(), RenderOptions::default());
     let map = map(1, 40).cast::<f32>();
-    let picture = fast::render(&map, &camera, &pose, &options, Par::Seq).expect("a picture");
+    let image = fast::render(&map, &camera, &pose, &options, Par::Seq).expect("an image");
     let up = narrow(&upstream(1, &camera));
     let same = |map: &GaussianMap<f32>,
-                picture: &Rendered<f32>,
+                image: &Rendered<f32>,
                 up: &Upstream<f32>,
                 options: &RenderOptions| {
-        let reference = backward(map, &camera, &pose, options, picture, up, Par::Seq);
-        let ours = fast::backward(map, &camera, &pose, options, picture, up, Par::Threads(2));
+        let reference = backward(map, &camera, &pose, options, image, up, Par::Seq);
+        let ours = fast::backward(map, &camera, &pose, options, image, up, Par::Threads(2));
         let (reference, ours) = (reference.expect_err("refused"), ours.expect_err("refused"));
         assert_eq!(ours, reference, "the same error");
         ours
     };
     let mut small = up.clone();
     small.color = Image::new(1, 1, [0.0; 3]);
-    same(&map, &picture, &small, &options);
-    let mut other = picture.clone();
+    same(&map, &image, &small, &options);
+    let mut other = image.clone();
     other.projected[2].footprint.x1 = 71;
     same(&map, &other, &up, &options);
     let mut poisoned = map.clone();
     for splat in [20, 12, 25] {
-        poisoned.quaternions[picture.projected[splat].index as usize] = [0.0; 4];
+        poisoned.quaternions[image.projected[splat].index as usize] = [0.0; 4];
     }
-    let error = same(&poisoned, &picture, &up, &options);
+    let error = same(&poisoned, &image, &up, &options);
     assert_eq!(error, RasterError::NotThisMap { splat: 12 }, "the first");
     let none = RenderOptions {
         tile_px: 0,
         ..options
     };
-    same(&map, &picture, &up, &none);
+    same(&map, &image, &up, &none);
     let night = RenderOptions {
         background: [f64::INFINITY; 3],
         ..options
     };
-    same(&map, &picture, &up, &night);
+    same(&map, &image, &up, &night);
     let error = fast::render(&map, &camera, &pose, &night, Par::Seq).expect_err("refused");
     assert!(
         matches!(error, RasterError::BackgroundNotFinite { .. }),

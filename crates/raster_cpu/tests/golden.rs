@@ -1,12 +1,14 @@
 //! Both passes against a dense renderer written independently (`tests/golden/gen/raster.py`), the
 //! backward pass through its derivatives by complex steps (`raster_backward.py`).
 
+mod common;
+
+use common::{Back, Draw, column, flat, tensors};
 use garad_core::{Camera, GaussianMap, Image, KeyframeId, Label, Par, Real, Se3, So3};
 use garad_golden::judge::{Answers, Outcome, judge};
 use garad_golden::{Case, Dtype, Tensor};
 use garad_raster::{
-    ClampGradient, Gradients, RasterError, RenderOptions, Rendered, Upstream, backward, fast,
-    render,
+    ClampGradient, Gradients, RenderOptions, Rendered, Upstream, backward, fast, render,
 };
 use nalgebra::Vector3;
 
@@ -72,18 +74,6 @@ fn scene(case: &Case) -> Scene {
     }
 }
 
-type Draw<T> =
-    fn(&GaussianMap<T>, &Camera, &Se3, &RenderOptions, Par) -> Result<Rendered<T>, RasterError>;
-type Back<T> = fn(
-    &GaussianMap<T>,
-    &Camera,
-    &Se3,
-    &RenderOptions,
-    &Rendered<T>,
-    &Upstream<T>,
-    Par,
-) -> Result<Gradients<T>, RasterError>;
-
 /// Both implementations of f32.
 const NARROW: [(&str, Draw<f32>, Back<f32>); 2] = [
     ("reference", render, backward),
@@ -98,57 +88,40 @@ fn draw<T: Real>(scene: &Scene, render: Draw<T>) -> Rendered<T> {
         &scene.options,
         Par::Seq,
     )
-    .expect("a picture")
+    .expect("an image")
 }
 
 /// Every output under the name it has in `case.json`.
-fn outputs<T: Real>(picture: &Rendered<T>) -> Vec<(&'static str, Vec<f64>)> {
-    let reals = |image: &Image<T>| image.data().iter().map(|v| v.to_f64()).collect();
+fn outputs<T: Real>(image: &Rendered<T>) -> Vec<(&'static str, Vec<f64>)> {
     let counts = |image: &Image<u32>| image.data().iter().map(|&v| f64::from(v)).collect();
-    let splats = &picture.projected;
+    let splats = &image.projected;
     let triples = |f: fn(&garad_raster::Projected<T>) -> [T; 3]| {
         splats.iter().flat_map(f).map(T::to_f64).collect()
     };
+    let centres: Vec<[T; 2]> = splats.iter().map(|s| s.mean_px).collect();
+    let depths: Vec<T> = splats.iter().map(|s| s.depth_m).collect();
     vec![
-        (
-            "color",
-            picture
-                .color
-                .data()
-                .iter()
-                .flatten()
-                .map(|v| v.to_f64())
-                .collect(),
-        ),
-        ("depth", reals(&picture.depth)),
-        ("transmittance", reals(&picture.transmittance)),
-        ("contributors", counts(&picture.contributors)),
-        ("last", counts(&picture.last)),
-        (
-            "radii",
-            picture.radii.iter().map(|&r| f64::from(r)).collect(),
-        ),
+        ("color", flat(image.color.data())),
+        ("depth", column(image.depth.data())),
+        ("transmittance", column(image.transmittance.data())),
+        ("contributors", counts(&image.contributors)),
+        ("last", counts(&image.last)),
+        ("radii", image.radii.iter().map(|&r| f64::from(r)).collect()),
         ("order", splats.iter().map(|s| f64::from(s.index)).collect()),
-        (
-            "mean_px",
-            splats
-                .iter()
-                .flat_map(|s| s.mean_px)
-                .map(T::to_f64)
-                .collect(),
-        ),
-        (
-            "depth_m",
-            splats.iter().map(|s| s.depth_m.to_f64()).collect(),
-        ),
+        ("mean_px", flat(&centres)),
+        ("depth_m", column(&depths)),
         ("conic", triples(|s| s.conic)),
         ("splat_color", triples(|s| s.color)),
     ]
 }
 
-/// Judges numbers as those of a port that computes in `T` are judged: in f32 tight where no cut is near, with a budget
-/// of flips elsewhere.
-fn check<T: Real>(case: &Case, by: &str, named: Vec<(&'static str, Vec<f64>)>) {
+/// Judges numbers as those of a port that computes in `T`: in f32 tight where no cut is near, with a
+/// budget of flips elsewhere.
+fn check<T: Real>(
+    case: &Case,
+    by: &str,
+    named: impl IntoIterator<Item = (&'static str, Vec<f64>)>,
+) {
     let saved = |(name, values): (&str, Vec<f64>)| {
         let expected = case.output(name);
         let narrow = size_of::<T>() == 4 && expected.dtype() == Dtype::F64;
@@ -178,8 +151,8 @@ fn check<T: Real>(case: &Case, by: &str, named: Vec<(&'static str, Vec<f64>)>) {
 #[test]
 fn forward_in_f64() {
     for case in Case::load_all("raster") {
-        let picture = draw::<f64>(&scene(&case), render);
-        check::<f64>(&case, "reference", outputs(&picture));
+        let image = draw::<f64>(&scene(&case), render);
+        check::<f64>(&case, "reference", outputs(&image));
     }
 }
 
@@ -206,38 +179,17 @@ fn gradients<T: Real>(case: &Case, render: Draw<T>, backward: Back<T>) -> Gradie
         depth: Some(image("upstream_depth")),
         opacity: Some(image("upstream_opacity")),
     };
-    let (map, picture) = (scene.map.cast::<T>(), draw(&scene, render));
+    let (map, image) = (scene.map.cast::<T>(), draw(&scene, render));
     backward(
         &map,
         &scene.camera,
         &scene.pose,
         &scene.options,
-        &picture,
+        &image,
         &upstream,
         Par::Seq,
     )
     .expect("gradients")
-}
-
-/// Every gradient under the name it has in `case.json`.
-fn tensors<T: Real>(g: &Gradients<T>) -> Vec<(&'static str, Vec<f64>)> {
-    fn flat<T: Real, const N: usize>(rows: &[[T; N]]) -> Vec<f64> {
-        rows.iter().flatten().map(|v| v.to_f64()).collect()
-    }
-    let column = |v: &[T]| v.iter().map(|v| v.to_f64()).collect();
-    vec![
-        ("d_means", flat(&g.means)),
-        ("d_log_scales", flat(&g.log_scales)),
-        ("d_quaternions", flat(&g.quaternions)),
-        ("d_opacity_logits", column(&g.opacity_logits)),
-        ("d_sh", flat(&g.sh)),
-        ("d_pose", column(&g.pose)),
-        ("d_means2d", flat(&g.means2d)),
-        ("d_conics", flat(&g.conics)),
-        ("d_opacities", column(&g.opacities)),
-        ("d_colors", flat(&g.colors)),
-        ("d_depths", column(&g.depths)),
-    ]
 }
 
 #[test]

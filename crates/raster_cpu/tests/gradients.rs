@@ -1,11 +1,11 @@
-//! Gradients against differences of the picture, and what holds for every gradient.
+//! Gradients against differences of the image, and what holds for every gradient.
 //!
-//! The picture jumps where a splat crosses a cut. A difference quotient across a jump says
+//! The image jumps where a splat crosses a cut. A difference quotient across a jump says
 //! nothing, so pixels in which any probe changes what is blended get no weight in L; few are lost.
 
 mod common;
 
-use common::{camera, map, pose};
+use common::{camera, map, pose, upstream};
 use garad_core::{Camera, GaussianMap, Image, KeyframeId, Label, NewGaussian, Par, Rng, Se3};
 use garad_raster::{
     ClampGradient, Gradients, Include, RasterError, RenderOptions, Rendered, Upstream, backward,
@@ -25,18 +25,18 @@ struct Scene {
 
 impl Scene {
     fn draw(&self) -> Rendered<f64> {
-        render(&self.map, &self.camera, &self.pose, &self.options, Par::Seq).expect("a picture")
+        render(&self.map, &self.camera, &self.pose, &self.options, Par::Seq).expect("an image")
     }
 
     fn back(&self, upstream: &Upstream<f64>) -> Gradients<f64> {
-        let picture = self.draw();
+        let image = self.draw();
         let Self {
             map,
             camera,
             pose,
             options,
         } = self;
-        backward(map, camera, pose, options, &picture, upstream, Par::Seq).expect("gradients")
+        backward(map, camera, pose, options, &image, upstream, Par::Seq).expect("gradients")
     }
 }
 
@@ -74,17 +74,6 @@ fn smooth_scene(seed: u64) -> Scene {
         camera,
         pose,
         options,
-    }
-}
-
-/// Normal numbers everywhere.
-fn upstream(seed: u64, camera: &Camera) -> Upstream<f64> {
-    let mut rng = Rng::keyed(seed, &[1]);
-    let (w, h) = (camera.width, camera.height);
-    Upstream {
-        color: Image::from_fn(w, h, |_, _| [0; 3].map(|_| rng.normal())),
-        depth: Some(Image::from_fn(w, h, |_, _| rng.normal())),
-        opacity: Some(Image::from_fn(w, h, |_, _| rng.normal())),
     }
 }
 
@@ -127,7 +116,7 @@ impl Probe {
                 pose = Se3::exp(&xi) * pose;
             }
         }
-        render(&map, &scene.camera, &pose, &scene.options, Par::Seq).expect("a picture")
+        render(&map, &scene.camera, &pose, &scene.options, Par::Seq).expect("an image")
     }
 
     fn of(self, g: &Gradients<f64>) -> f64 {
@@ -142,7 +131,7 @@ impl Probe {
     }
 }
 
-/// Five pictures in one: (r, g, b, depth, opacity) per pixel.
+/// Five images in one: (r, g, b, depth, opacity) per pixel.
 fn channels(r: &Rendered<f64>) -> Vec<[f64; 5]> {
     (0..r.depth.data().len())
         .map(|p| {
@@ -153,7 +142,7 @@ fn channels(r: &Rendered<f64>) -> Vec<[f64; 5]> {
 }
 
 /// Central differences with h = 1e-5 for every parameter of every Gaussian, 59 each at degree 3, and
-/// the pose, L being of all five pictures: they agree to 2e-7 of each element (measured 8e-8, on
+/// the pose, L being of all five images: they agree to 2e-7 of each element (measured 8e-8, on
 /// elements that almost cancel; median 3e-10), and none is zero.
 #[test]
 fn every_parameter_against_differences() {
@@ -194,8 +183,8 @@ fn every_parameter_against_differences() {
         for (p, keep) in smooth.iter().enumerate() {
             let at = (p % 36, p / 36);
             up.color[at] = up.color[at].map(|v| v * keep);
-            for picture in [&mut up.depth, &mut up.opacity] {
-                picture.as_mut().expect("given")[at] *= keep;
+            for image in [&mut up.depth, &mut up.opacity] {
+                image.as_mut().expect("given")[at] *= keep;
             }
         }
         let gradients = scene.back(&up);
@@ -220,7 +209,7 @@ fn every_parameter_against_differences() {
                 "scene {seed}, {probe:?} is {analytic}"
             );
         }
-        // The picture does not know the length of a quaternion.
+        // The image does not depend on the length of a quaternion.
         for (g, q) in gradients.quaternions.iter().zip(&scene.map.quaternions) {
             let dot: f64 = g.iter().zip(q).map(|(g, q)| g * q).sum();
             let norm = |v: &[f64; 4]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -230,7 +219,7 @@ fn every_parameter_against_differences() {
 }
 
 /// Rasterizers after 3D Gaussian Splatting divide by z + 1e-7, the principal point being part of
-/// what is divided: a splat at z then stands 1e-7/z of its distance from the picture's middle
+/// what is divided: a splat at z then stands 1e-7/z of its distance from the image's middle
 /// aside. Returns by how much that changes colours and ∂L/∂(centre), by their largest.
 fn cost_of_another_division(nearest: f64, farthest: f64) -> (f64, f64) {
     let camera = camera();
@@ -288,7 +277,7 @@ fn cost_of_another_division(nearest: f64, farthest: f64) -> (f64, f64) {
     )
 }
 
-/// Close to the near plane pictures and gradients of the two differ by more than 1e-6 of their
+/// Close to the near plane images and gradients of the two differ by more than 1e-6 of their
 /// largest (measured 2.9e-6 and 4.1e-6 at 0.21 to 0.3 m; 2.5e-7 and 4.2e-7 at 2 to 5 m): no
 /// tolerance of 1e-6 holds across them there, whatever is done in f64.
 #[test]
@@ -346,9 +335,9 @@ proptest! {
         }
     }
 
-    /// L is linear in what comes from above, and a picture that is not there is zero.
+    /// L is linear in the upstream gradients, and an absent one is zero.
     #[test]
-    fn absent_pictures_are_zero(seed in 0u64..1000) {
+    fn absent_images_are_zero(seed in 0u64..1000) {
         let scene = random_scene(seed, RenderOptions::default());
         let up = upstream(seed, &scene.camera);
         let color = Upstream { depth: None, opacity: None, ..up.clone() };
@@ -438,7 +427,7 @@ fn saturated_alpha_passes_nothing_unless_asked_to() {
 }
 
 #[test]
-fn dark_channels_teach_their_coefficients_nothing() {
+fn clamped_channels_pass_no_gradient() {
     let mut scene = stack(&[ball(2.0, 0.5)]);
     scene.map.sh[0] = [-3.0, 0.0, 0.3];
     let g = scene.back(&upstream(5, &scene.camera));
@@ -472,7 +461,7 @@ fn what_is_not_drawn_has_no_gradient() {
     for i in [2, 3] {
         assert!(row_size(&g, i) > 1e-3, "row {i} is seen");
     }
-    // And the pose feels nothing of them.
+    // Nor do they add to the gradient of the pose.
     let seen = stack(&[ball(1.0, 0.98), ball(1.1, 0.98)]).back(&up);
     assert_eq!(
         seen.pose.map(f64::to_bits),
@@ -489,13 +478,13 @@ fn an_empty_map_has_empty_gradients() {
     assert!(g.means.is_empty() && g.sh.is_empty(), "no rows");
     assert!(
         g.pose.iter().all(|v| v.abs() < 1e-300),
-        "no pull: {:?}",
+        "pose: {:?}",
         g.pose
     );
 }
 
 #[test]
-fn pictures_that_do_not_fit_are_errors() {
+fn images_of_the_wrong_size_are_errors() {
     let scene = random_scene(1, RenderOptions::default());
     let Scene {
         map,
@@ -503,28 +492,28 @@ fn pictures_that_do_not_fit_are_errors() {
         pose,
         options,
     } = &scene;
-    let (picture, up) = (scene.draw(), upstream(1, camera));
-    let error = |map, picture: &Rendered<f64>, up: &Upstream<f64>| {
-        backward(map, camera, pose, options, picture, up, Par::Seq).expect_err("does not fit")
+    let (image, up) = (scene.draw(), upstream(1, camera));
+    let error = |map, image: &Rendered<f64>, up: &Upstream<f64>| {
+        backward(map, camera, pose, options, image, up, Par::Seq).expect_err("does not fit")
     };
     let mut small = up.clone();
     small.depth = Some(Image::new(70, 49, 0.0));
     assert_eq!(
-        error(map, &picture, &small),
+        error(map, &image, &small),
         RasterError::SizeMismatch {
-            picture: "upstream.depth",
+            image: "upstream.depth",
             expected: (70, 50),
             got: (70, 49)
         },
         "depth"
     );
-    let mut cut = picture.clone();
+    let mut cut = image.clone();
     cut.last = Image::new(1, 1, 0);
     assert!(
         matches!(
             error(map, &cut, &up),
             RasterError::SizeMismatch {
-                picture: "rendered.last",
+                image: "rendered.last",
                 ..
             }
         ),
@@ -532,10 +521,10 @@ fn pictures_that_do_not_fit_are_errors() {
     );
     let few = common::map(1, 3);
     assert!(
-        matches!(error(&few, &picture, &up), RasterError::NotThisMap { .. }),
+        matches!(error(&few, &image, &up), RasterError::NotThisMap { .. }),
         "another map"
     );
-    let mut wide = picture.clone();
+    let mut wide = image.clone();
     wide.projected[2].footprint.x1 = 71;
     assert_eq!(
         error(map, &wide, &up),
@@ -543,9 +532,9 @@ fn pictures_that_do_not_fit_are_errors() {
         "outside"
     );
     let mut poisoned = map.clone();
-    poisoned.quaternions[picture.projected[0].index as usize] = [0.0; 4];
+    poisoned.quaternions[image.projected[0].index as usize] = [0.0; 4];
     assert_eq!(
-        error(&poisoned, &picture, &up),
+        error(&poisoned, &image, &up),
         RasterError::NotThisMap { splat: 0 },
         "never drawn"
     );

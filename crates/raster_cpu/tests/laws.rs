@@ -1,4 +1,4 @@
-//! What holds for every picture.
+//! What holds for every image.
 
 mod common;
 
@@ -9,14 +9,14 @@ use nalgebra::Vector3;
 use proptest::prelude::*;
 
 fn draw(map: &GaussianMap<f64>, options: &RenderOptions, par: Par) -> Rendered<f64> {
-    render(map, &camera(), &pose(), options, par).expect("a picture")
+    render(map, &camera(), &pose(), options, par).expect("an image")
 }
 
 fn plain(map: &GaussianMap<f64>) -> Rendered<f64> {
     draw(map, &RenderOptions::default(), Par::Seq)
 }
 
-/// Same bits in every picture; `last` counts positions in tile lists and is left out.
+/// Same bits in every image; `last` counts positions in tile lists and is left out.
 fn assert_same(a: &Rendered<f64>, b: &Rendered<f64>, what: &str) {
     assert!(a.color == b.color, "{what}: color");
     assert!(a.depth == b.depth, "{what}: depth");
@@ -67,7 +67,7 @@ fn draw_small(map: &GaussianMap<f64>) -> Rendered<f64> {
         &RenderOptions::default(),
         Par::Seq,
     )
-    .expect("a picture")
+    .expect("an image")
 }
 
 proptest! {
@@ -124,16 +124,16 @@ proptest! {
             map.sh[4 * i] = [garad_core::sh::dc_from_color(1.0); 3];
         }
         let white = RenderOptions { background: [1.0; 3], ..RenderOptions::default() };
-        let picture = draw(&map, &white, Par::Seq);
-        picture.validate().expect("consistent");
-        for v in picture.color.data().iter().flatten() {
+        let image = draw(&map, &white, Par::Seq);
+        image.validate().expect("consistent");
+        for v in image.color.data().iter().flatten() {
             prop_assert!((v - 1.0).abs() < 1e-13, "{v}");
         }
     }
 
-    /// World and camera moved together: nobody can tell.
+    /// World and camera moved together: the same image.
     #[test]
-    fn the_worlds_frame_is_free(
+    fn the_image_does_not_depend_on_the_world_frame(
         seed in 0u64..1_000_000, xi in proptest::array::uniform6(-1.0f64..1.0),
     ) {
         let mut map = map(seed, 60);
@@ -151,7 +151,7 @@ proptest! {
         }
         let camera_from_new = pose() * new_from_old.inverse();
         let after = render(&map, &camera(), &camera_from_new, &RenderOptions::default(), Par::Seq)
-            .expect("a picture");
+            .expect("an image");
         let mut moved = 0;
         for (a, b) in before.color.data().iter().flatten().zip(after.color.data().iter().flatten()) {
             moved += usize::from((a - b).abs() > 1e-10);
@@ -160,10 +160,10 @@ proptest! {
         prop_assert!(moved <= 3, "{moved} channels moved");
     }
 
-    /// A principal point one footprint cell further: the picture one cell further. Fails where
+    /// A principal point one footprint cell further: the image one cell further. Fails where
     /// cx or cy is dropped, or put in twice.
     #[test]
-    fn principal_point_moves_the_picture(seed in 0u64..1_000_000) {
+    fn principal_point_moves_the_image(seed in 0u64..1_000_000) {
         // In front of the middle, so that the smaller field of view clamps nothing.
         let mut map = map(seed, 40);
         map.means.iter_mut().for_each(|m| {
@@ -174,7 +174,7 @@ proptest! {
         let near = camera();
         let far = Camera { cx: near.cx + 16.0, cy: near.cy + 16.0, ..near };
         let draw = |camera| {
-            render(&map, camera, &pose(), &RenderOptions::default(), Par::Seq).expect("a picture")
+            render(&map, camera, &pose(), &RenderOptions::default(), Par::Seq).expect("an image")
         };
         let (a, b) = (draw(&near), draw(&far));
         for y in 0..34 {
@@ -192,10 +192,10 @@ proptest! {
 fn pixel_centres_are_integers() {
     let mut map = GaussianMap::new(0);
     map.push(&ball([0.0, 0.0, 2.0], 0.2, 0.8, [1.0, 1.0, 1.0]));
-    let picture = draw_small(&map);
-    assert!((picture.opacity[(8, 8)] - 0.8).abs() < 1e-15, "peak");
+    let image = draw_small(&map);
+    assert!((image.opacity[(8, 8)] - 0.8).abs() < 1e-15, "peak");
     for (dx, dy) in [(1, 0), (3, 2), (8, 8)] {
-        let at = |x: usize, y: usize| picture.opacity[(x, y)];
+        let at = |x: usize, y: usize| image.opacity[(x, y)];
         let mirrored = at(8 + dx, 8 + dy) - at(8 - dx, 8 - dy);
         assert!(mirrored.abs() < 1e-16, "{dx}, {dy}: {mirrored:e}");
         let turned = at(8 + dx, 8 + dy) - at(8 + dy, 8 + dx);
@@ -203,11 +203,11 @@ fn pixel_centres_are_integers() {
     }
     // Variance fx² σ²/z² + 0.3 = 4.3 px²: alpha one pixel aside.
     let expected = 0.8 * garad_core::Real::exp(-0.5f64 / 4.3);
-    assert!((picture.opacity[(9, 8)] - expected).abs() < 1e-15, "blur");
+    assert!((image.opacity[(9, 8)] - expected).abs() < 1e-15, "blur");
 }
 
 #[test]
-fn absent_culled_and_hidden_gaussians_leave_no_trace() {
+fn absent_culled_and_hidden_gaussians_change_no_pixel() {
     let map = map(3, 60);
     let without = plain(&map);
     let mut more = map.clone();
@@ -227,16 +227,13 @@ fn absent_culled_and_hidden_gaussians_leave_no_trace() {
     for i in [behind, near, aside] {
         assert_eq!(with.radii[i], 0, "row {i}");
     }
-    assert!(
-        with.radii[thin] > 0,
-        "in view, if only there were something"
-    );
+    assert!(with.radii[thin] > 0, "in view, though transparent");
 }
 
 #[test]
-fn what_stands_behind_a_wall_cannot_be_seen() {
+fn occluded_splats_change_no_pixel() {
     let mut map = GaussianMap::new(0);
-    // Three splats far wider than the picture: alpha 0.99 each, and the third finds no light.
+    // Three splats far wider than the image: alpha 0.99 each, and the third is refused.
     for z in [1.0, 1.1, 1.2, 1.3] {
         map.push(&ball([0.0, 0.0, z], 30.0, 0.999_99, [0.2, 0.4, 0.6]));
     }
@@ -254,7 +251,7 @@ fn what_stands_behind_a_wall_cannot_be_seen() {
         &RenderOptions::default(),
         Par::Seq,
     )
-    .expect("a picture");
+    .expect("an image");
     assert_eq!(
         f32_wall.contributors[(8, 8)],
         1,
@@ -268,9 +265,9 @@ fn alpha_is_cut_at_one_in_255() {
     for (opacity, drawn) in [(cut * (1.0 - 1e-12), 0), (cut * (1.0 + 1e-12), 1)] {
         let mut map = GaussianMap::new(0);
         map.push(&ball([0.0, 0.0, 2.0], 0.2, opacity, [1.0, 1.0, 1.0]));
-        let picture = draw_small(&map);
-        assert_eq!(picture.contributors[(8, 8)], drawn, "opacity {opacity}");
-        assert_eq!(picture.contributors[(9, 8)], 0, "one pixel aside");
+        let image = draw_small(&map);
+        assert_eq!(image.contributors[(8, 8)], drawn, "opacity {opacity}");
+        assert_eq!(image.contributors[(9, 8)], 0, "one pixel aside");
     }
 }
 
@@ -309,9 +306,9 @@ fn labels_choose_what_is_drawn() {
 fn depth_is_that_of_the_gaussian_and_missing_elsewhere() {
     let mut map = GaussianMap::new(0);
     map.push(&ball([0.0, 0.0, 2.0], 0.05, 0.5, [1.0, 1.0, 1.0]));
-    let picture = draw_small(&map);
-    assert!((picture.depth[(8, 8)] - 1.0).abs() < 1e-15, "w z = 0.5 · 2");
-    let depth = picture.normalized_depth();
+    let image = draw_small(&map);
+    assert!((image.depth[(8, 8)] - 1.0).abs() < 1e-15, "w z = 0.5 · 2");
+    let depth = image.normalized_depth();
     assert!((depth[(8, 8)] - 2.0).abs() < 1e-15, "expected depth");
     assert_eq!(depth[(0, 0)].to_bits(), 0, "nothing there");
 }
@@ -320,7 +317,7 @@ fn depth_is_that_of_the_gaussian_and_missing_elsewhere() {
 #[test]
 fn poisoned_rows_are_invisible() {
     let clean = map(5, 20);
-    let picture = plain(&clean);
+    let image = plain(&clean);
     type Poison = fn(&mut GaussianMap<f64>, f64);
     let poisons: [(&str, Poison); 5] = [
         ("mean", |m, v| m.means[20][1] = v),
@@ -345,7 +342,7 @@ fn poisoned_rows_are_invisible() {
                 "{name} {value}"
             );
             if !harmless {
-                assert_same(&picture, &drawn, name);
+                assert_same(&image, &drawn, name);
             }
             // The same in f32, and no panic.
             render(
@@ -355,11 +352,11 @@ fn poisoned_rows_are_invisible() {
                 &RenderOptions::default(),
                 Par::Seq,
             )
-            .expect("a picture");
+            .expect("an image");
         }
     }
     ill.quaternions[20] = [0.0; 4];
-    assert_same(&picture, &plain(&ill), "zero quaternion");
+    assert_same(&image, &plain(&ill), "zero quaternion");
 }
 
 #[test]
@@ -371,9 +368,9 @@ fn extreme_sizes_are_drawn_or_left_out() {
     ] {
         let mut map = GaussianMap::new(0);
         map.push(&ball([0.0, 0.0, 2.0], sigma, 0.9, [1.0, 1.0, 1.0]));
-        let picture = draw_small(&map);
-        picture.validate().expect("consistent");
-        assert_eq!(picture.radii[0] > 0, visible, "sigma {sigma}");
+        let image = draw_small(&map);
+        image.validate().expect("consistent");
+        assert_eq!(image.radii[0] > 0, visible, "sigma {sigma}");
     }
     // Σ'xx = 1e26 px² fits into f32, the determinant does not.
     let mut map = GaussianMap::new(0);
@@ -386,7 +383,7 @@ fn extreme_sizes_are_drawn_or_left_out() {
         &options,
         Par::Seq,
     );
-    assert_eq!(narrow.expect("a picture").radii, [0], "left out in f32");
+    assert_eq!(narrow.expect("an image").radii, [0], "left out in f32");
     assert!(draw_small(&map).radii[0] > 0, "drawn in f64");
     let mut map = GaussianMap::new(0);
     map.push(&ball([1e300, -1e300, 1e300], 1.0, 0.9, [1.0, 1.0, 1.0]));
@@ -405,19 +402,19 @@ fn empty_maps_and_single_pixels() {
     };
     let dot = Camera::pinhole((1, 1), [1.0, 1.0, 0.0, 0.0]).expect("valid");
     let mut map = GaussianMap::<f64>::new(3);
-    let empty = render(&map, &dot, &Se3::default(), &white, Par::Threads(2)).expect("a picture");
+    let empty = render(&map, &dot, &Se3::default(), &white, Par::Threads(2)).expect("an image");
     assert_eq!(empty.color.data(), [[1.0, 0.5, 0.25]], "background alone");
     assert!(
         empty.radii.is_empty() && empty.projected.is_empty(),
-        "nobody"
+        "no splat"
     );
     map.push(&ball([0.0, 0.0, 1.0], 0.1, 0.5, [0.0, 0.0, 0.0]));
-    let one = render(&map, &dot, &Se3::default(), &white, Par::Threads(2)).expect("a picture");
+    let one = render(&map, &dot, &Se3::default(), &white, Par::Threads(2)).expect("an image");
     assert!((one.color[(0, 0)][0] - 0.5).abs() < 1e-15, "half covered");
 }
 
 #[test]
-fn input_that_cannot_be_drawn_is_an_error() {
+fn invalid_input_is_an_error() {
     let good = map(1, 3);
     let attempt = |map: &GaussianMap<f64>, camera: &Camera, pose: &Se3, options: &RenderOptions| {
         render(map, camera, pose, options, Par::Seq).expect_err("refused")
@@ -436,7 +433,7 @@ fn input_that_cannot_be_drawn_is_an_error() {
     assert!(
         matches!(
             error,
-            RasterError::PictureSize {
+            RasterError::ImageSize {
                 width: usize::MAX,
                 ..
             }
@@ -450,7 +447,7 @@ fn input_that_cannot_be_drawn_is_an_error() {
     };
     let error = attempt(&good, &high, &at, &plain);
     assert!(
-        matches!(error, RasterError::PictureSize { height: 16_385, .. }),
+        matches!(error, RasterError::ImageSize { height: 16_385, .. }),
         "{error}"
     );
 

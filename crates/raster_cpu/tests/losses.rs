@@ -4,15 +4,15 @@ use garad_core::{Image, Label, MaskImage, Par, Real, Rng};
 use garad_golden::{Case, compare::compare, tol};
 use garad_raster::RasterError;
 use garad_raster::losses::{
-    PictureLoss, depth_l1, l1, opacity_penalty, photometric, reference, ssim,
+    ImageLoss, depth_l1, l1, opacity_penalty, photometric, reference, ssim,
 };
 use proptest::prelude::*;
 
-type LossOf<T> = Result<PictureLoss<T>, RasterError>;
+type LossOf<T> = Result<ImageLoss<T>, RasterError>;
 type Ssim<T> = fn(&Image<[T; 3]>, &Image<[T; 3]>, Option<&MaskImage>, Par) -> LossOf<T>;
 type Photometric<T> = fn(&Image<[T; 3]>, &Image<[T; 3]>, f64, Option<&MaskImage>, Par) -> LossOf<T>;
 
-/// What runs and what it is held to: every test of the one is a test of the other.
+/// What runs and the plain form: every test of the one is a test of the other.
 fn forms<T: Real>() -> [(&'static str, Ssim<T>, Photometric<T>); 2] {
     [
         ("sweep", ssim, photometric),
@@ -25,7 +25,7 @@ fn size(case: &Case, name: &str) -> (usize, usize) {
     (shape[1], shape[0])
 }
 
-fn picture<T: Real>(case: &Case, name: &str) -> Image<[T; 3]> {
+fn image<T: Real>(case: &Case, name: &str) -> Image<[T; 3]> {
     let values = case.input(name).f64();
     let (w, h) = size(case, name);
     Image::from_fn(w, h, |x, y| {
@@ -57,7 +57,7 @@ fn outputs<T: Real>(
     let kind = case.param_str("loss");
     match kind {
         "l1" | "ssim" | "photometric" => {
-            let (x, y) = (picture::<T>(case, "rendered"), picture(case, "target"));
+            let (x, y) = (image::<T>(case, "rendered"), image(case, "target"));
             let loss = match kind {
                 "l1" => l1(&x, &y, excluded),
                 "ssim" => ssim(&x, &y, excluded, Par::Seq),
@@ -137,15 +137,15 @@ fn losses_in_f32() {
     }
 }
 
-type Picture = Image<[f64; 3]>;
+type ColorImage = Image<[f64; 3]>;
 
-fn noise(seed: u64, width: usize, height: usize) -> Picture {
+fn noise(seed: u64, width: usize, height: usize) -> ColorImage {
     let mut rng = Rng::keyed(seed, &[]);
     Image::from_fn(width, height, |_, _| [0; 3].map(|_| rng.uniform()))
 }
 
 /// Central differences of a loss by every third pixel of x.
-fn assert_is_derivative(x: &Picture, f: impl Fn(&Picture) -> PictureLoss<f64>) {
+fn assert_is_derivative(x: &ColorImage, f: impl Fn(&ColorImage) -> ImageLoss<f64>) {
     let gradient = f(x).gradient;
     let largest = gradient
         .data()
@@ -191,25 +191,25 @@ fn gradients_are_derivatives() {
 }
 
 #[test]
-fn equal_pictures_are_at_the_bottom() {
+fn equal_images_minimise_the_losses() {
     let x = noise(7, 14, 13);
     for (by, ssim, photometric) in forms::<f64>() {
         let same = ssim(&x, &x, None, Par::Seq).expect("fits");
         assert!((same.value - 1.0).abs() < 1e-15, "{by}: {}", same.value);
         let slope = largest(&same.gradient);
-        assert!(slope < 1e-15, "{by}: the summit is flat: {slope:e}");
+        assert!(slope < 1e-15, "{by}: slope at the maximum: {slope:e}");
         let zero = photometric(&x, &x, 0.2, None, Par::Seq).expect("fits");
         assert!(zero.value.abs() < 1e-15, "{by}: {}", zero.value);
     }
 }
 
-fn largest<T: Real>(picture: &Image<[T; 3]>) -> f64 {
-    let numbers = picture.data().as_flattened().iter();
+fn largest<T: Real>(image: &Image<[T; 3]>) -> f64 {
+    let numbers = image.data().as_flattened().iter();
     numbers.fold(0.0, |m, v| m.max(v.to_f64().abs()))
 }
 
-/// Bands end inside the picture and threads disagree about where; each pixel is still judged by
-/// the same operations and each sum has one order.
+/// Bands end inside the image, elsewhere for each number of threads; each pixel still has the same
+/// operations and each sum one order.
 #[test]
 fn bands_and_threads_change_no_bit() {
     for (w, h) in [(37, 150), (3, 97), (1, 64), (64, 1)] {
@@ -253,7 +253,7 @@ fn the_sweep_is_the_reference() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(16))]
 
-    /// What is under the mask changes nothing and is asked nothing; threads change no bit.
+    /// Excluded pixels change nothing and get no gradient; threads change no bit.
     #[test]
     fn masked_pixels_neither_count_nor_leak(seed in 0u64..1000, w in 1usize..16, h in 1usize..16) {
         let (x, y) = (noise(seed, w, h), noise(seed + 5000, w, h));
@@ -276,7 +276,7 @@ proptest! {
 }
 
 #[test]
-fn nothing_judged_is_nothing_asked() {
+fn without_included_pixels_loss_and_gradient_are_zero() {
     for (by, _, photometric) in forms::<f64>() {
         for (w, h) in [(0, 0), (0, 5), (5, 0)] {
             let none = noise(1, w, h);
@@ -286,9 +286,9 @@ fn nothing_judged_is_nothing_asked() {
         let (x, y) = (noise(1, 6, 4), noise(2, 6, 4));
         let all = Image::new(6, 4, 255u8);
         let loss = photometric(&x, &y, 0.2, Some(&all), Par::Seq).expect("fits");
-        assert_eq!(loss.pixels, 0, "{by}: judged");
+        assert_eq!(loss.pixels, 0, "{by}: included");
         assert!(loss.value.abs() < 1e-300, "{by}: {}", loss.value);
-        assert!(largest(&loss.gradient) < 1e-300, "{by}: no pull");
+        assert!(largest(&loss.gradient) < 1e-300, "{by}: gradient");
     }
 }
 
@@ -338,7 +338,7 @@ fn what_f32_costs() {
 }
 
 /// A NaN in the render is one in the value, and in the gradient up to ten pixels away; under the
-/// mask it is nobody's.
+/// mask it has no effect.
 #[test]
 fn a_nan_stays_near_unless_it_is_masked() {
     let (w, h) = (48, 40);
@@ -348,7 +348,7 @@ fn a_nan_stays_near_unless_it_is_masked() {
     x[at][1] = f64::NAN;
     for (by, _, photometric) in forms::<f64>() {
         let loss = photometric(&x, &y, 0.2, None, Par::Threads(2)).expect("fits");
-        assert!(loss.value.is_nan(), "{by}: the value knows");
+        assert!(loss.value.is_nan(), "{by}: value");
         for (u, v) in (0..h).flat_map(|v| (0..w).map(move |u| (u, v))) {
             let g = loss.gradient[(u, v)];
             let near = u.abs_diff(at.0) <= 10 && v.abs_diff(at.1) <= 10;
@@ -394,8 +394,8 @@ fn depth_gradients_are_derivatives_and_thin_places_are_left_out() {
     let opacity = Image::from_vec(3, 1, vec![0.8, 0.5, 0.01]).expect("3 pixels");
     let measured = Image::from_vec(3, 1, vec![1.0f32, 1.5, 1.0]).expect("3 pixels");
     let loss = depth_l1(&depth, &opacity, &measured, 0.1, None).expect("fits");
-    // |1.5 - 1| and |1 - 1.5|; the third is too thin.
-    assert_eq!(loss.pixels, 2, "judged");
+    // |1.5 - 1| and |1 - 1.5|; the opacity of the third is too small.
+    assert_eq!(loss.pixels, 2, "included");
     assert!((loss.value - 0.5).abs() < 1e-15, "{}", loss.value);
     for (got, want) in loss.depth.data().iter().zip([0.5 / 0.8, -0.5 / 0.5, 0.0]) {
         assert!((got - want).abs() < 1e-15, "{got} against {want}");
@@ -410,9 +410,9 @@ fn depth_gradients_are_derivatives_and_thin_places_are_left_out() {
     }
 }
 
-/// What a depth camera writes where it sees nothing, and a mask, are not judged.
+/// What a depth camera writes where it measures nothing, and the mask, are left out.
 #[test]
-fn depths_that_are_none_are_left_out() {
+fn missing_depths_are_left_out() {
     let measured = vec![
         f32::NAN,
         f32::INFINITY,
@@ -441,10 +441,10 @@ fn depths_that_are_none_are_left_out() {
 }
 
 #[test]
-fn what_does_not_fit_is_an_error() {
+fn wrong_sizes_and_weights_are_errors() {
     let (x, y) = (noise(1, 6, 4), noise(2, 4, 6));
-    let wrong = |picture| RasterError::SizeMismatch {
-        picture,
+    let wrong = |image| RasterError::SizeMismatch {
+        image,
         expected: (6, 4),
         got: (4, 6),
     };

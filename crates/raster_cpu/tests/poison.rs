@@ -1,28 +1,14 @@
-//! Numbers no map should hold, both ways, by the reference in f64 and f32 and by the fast form: a bad
+//! Numbers no map should hold, in both passes, by the reference in f64 and f32 and by the fast form: a bad
 //! Gaussian is left out, what is left is drawn as if it were not there, gradients are finite, and
 //! nothing panics.
 
 mod common;
 
-use common::{camera, map, pose};
+use common::{Back, Draw, camera, map, pose, tensors};
 use garad_core::{Camera, GaussianMap, Image, KeyframeId, Label, NewGaussian, Par, Real, Rng, Se3};
-use garad_raster::{
-    Gradients, RasterError, RenderOptions, Rendered, Upstream, backward, fast, render,
-};
+use garad_raster::{Gradients, RenderOptions, Rendered, Upstream, backward, fast, render};
 use nalgebra::Vector3;
 use proptest::prelude::*;
-
-type Draw<T> =
-    fn(&GaussianMap<T>, &Camera, &Se3, &RenderOptions, Par) -> Result<Rendered<T>, RasterError>;
-type Back<T> = fn(
-    &GaussianMap<T>,
-    &Camera,
-    &Se3,
-    &RenderOptions,
-    &Rendered<T>,
-    &Upstream<T>,
-    Par,
-) -> Result<Gradients<T>, RasterError>;
 
 /// A rasterizer and the view it is tried on.
 struct Bench<T> {
@@ -34,24 +20,24 @@ struct Bench<T> {
 }
 
 impl<T: Real> Bench<T> {
-    fn picture(&self, map: &GaussianMap<T>) -> Rendered<T> {
+    fn image(&self, map: &GaussianMap<T>) -> Rendered<T> {
         let options = RenderOptions::default();
-        let picture =
-            (self.draw)(map, &self.camera, &self.pose, &options, Par::Seq).expect("a picture");
-        picture
+        let image =
+            (self.draw)(map, &self.camera, &self.pose, &options, Par::Seq).expect("an image");
+        image
             .validate()
             .unwrap_or_else(|e| panic!("{}: {e}", self.name));
-        picture
+        image
     }
 
     fn gradients(&self, map: &GaussianMap<T>, upstream: &Upstream<T>) -> Gradients<T> {
-        let (picture, options) = (self.picture(map), RenderOptions::default());
+        let (image, options) = (self.image(map), RenderOptions::default());
         (self.back)(
             map,
             &self.camera,
             &self.pose,
             &options,
-            &picture,
+            &image,
             upstream,
             Par::Seq,
         )
@@ -70,14 +56,14 @@ impl<T: Real> Bench<T> {
         }
     }
 
-    /// Both ways; what comes back is finite.
-    fn both_ways(&self, map: &GaussianMap<T>, what: &str) -> (Rendered<T>, Gradients<T>) {
+    /// Both passes; the gradients are finite.
+    fn both_passes(&self, map: &GaussianMap<T>, what: &str) -> (Rendered<T>, Gradients<T>) {
         let gradients = self.gradients(map, &self.upstream());
         for (tensor, values) in tensors(&gradients) {
             let bad = values.iter().position(|v| !v.is_finite());
             assert_eq!(bad, None, "{}, {what}: {tensor} is not finite", self.name);
         }
-        (self.picture(map), gradients)
+        (self.image(map), gradients)
     }
 }
 
@@ -91,35 +77,18 @@ macro_rules! for_each_form {
     }};
 }
 
-/// All gradients, flat.
-fn tensors<T: Real>(g: &Gradients<T>) -> [(&'static str, Vec<T>); 11] {
-    [
-        ("means", g.means.as_flattened().to_vec()),
-        ("log_scales", g.log_scales.as_flattened().to_vec()),
-        ("quaternions", g.quaternions.as_flattened().to_vec()),
-        ("opacity_logits", g.opacity_logits.clone()),
-        ("sh", g.sh.as_flattened().to_vec()),
-        ("pose", g.pose.to_vec()),
-        ("means2d", g.means2d.as_flattened().to_vec()),
-        ("conics", g.conics.as_flattened().to_vec()),
-        ("opacities", g.opacities.clone()),
-        ("colors", g.colors.as_flattened().to_vec()),
-        ("depths", g.depths.clone()),
-    ]
-}
-
 /// Largest absolute number in row `i` of any array.
 fn row_size<T: Real>(g: &Gradients<T>, i: usize) -> f64 {
     let n = g.means.len();
-    let rows = tensors(g).into_iter().filter(|(name, _)| *name != "pose");
+    let rows = tensors(g).into_iter().filter(|(name, _)| *name != "d_pose");
     rows.flat_map(|(_, values)| {
         let width = values.len() / n;
         values[i * width..(i + 1) * width].to_vec()
     })
-    .fold(0.0, |m, v| m.max(v.to_f64().abs()))
+    .fold(0.0, |m, v| m.max(v.abs()))
 }
 
-/// Row `n` of the map was never there: no pixel, no count and no other gradient knows of it.
+/// Row `n` of the map changes no pixel, no count and no other gradient.
 fn assert_left_out<T: Real>(
     bench: &Bench<T>,
     clean: &(Rendered<T>, Gradients<T>),
@@ -127,12 +96,12 @@ fn assert_left_out<T: Real>(
     what: &str,
 ) {
     let n = clean.1.means.len();
-    let (picture, gradients) = bench.both_ways(map, what);
+    let (image, gradients) = bench.both_passes(map, what);
     let name = bench.name;
-    assert_eq!(picture.radii[n], 0, "{name}, {what}: invisible");
-    assert!(picture.color == clean.0.color, "{name}, {what}: color");
-    assert!(picture.depth == clean.0.depth, "{name}, {what}: depth");
-    assert!(picture.last == clean.0.last, "{name}, {what}: last");
+    assert_eq!(image.radii[n], 0, "{name}, {what}: invisible");
+    assert!(image.color == clean.0.color, "{name}, {what}: color");
+    assert!(image.depth == clean.0.depth, "{name}, {what}: depth");
+    assert!(image.last == clean.0.last, "{name}, {what}: last");
     assert!(
         row_size(&gradients, n) < 1e-300,
         "{name}, {what}: no gradient"
@@ -167,8 +136,8 @@ fn with_a_ball<T: Real>(bench: &Bench<T>) -> (GaussianMap<T>, GaussianMap<T>) {
 /// NaN and both infinities in every number of every array.
 fn bad_numbers<T: Real>(bench: &Bench<T>) {
     let (clean, more) = with_a_ball(bench);
-    let clean = bench.both_ways(&clean, "clean");
-    assert!(bench.picture(&more).radii[20] > 0, "the ball is seen");
+    let clean = bench.both_passes(&clean, "clean");
+    assert!(bench.image(&more).radii[20] > 0, "the ball is visible");
     for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         let bad = T::from_f64(value);
         let mut tries: Vec<(String, GaussianMap<T>, bool)> = Vec::new();
@@ -192,8 +161,8 @@ fn bad_numbers<T: Real>(bench: &Bench<T>) {
         }
         for (what, map, drawn) in tries {
             if drawn {
-                let (picture, _) = bench.both_ways(&map, &what);
-                assert!(picture.radii[20] > 0, "{}, {what}: drawn", bench.name);
+                let (image, _) = bench.both_passes(&map, &what);
+                assert!(image.radii[20] > 0, "{}, {what}: drawn", bench.name);
             } else {
                 assert_left_out(bench, &clean, &map, &what);
             }
@@ -208,7 +177,7 @@ fn bad_numbers_are_left_out() {
 
 fn shapes<T: Real>(bench: &Bench<T>) {
     let (clean, more) = with_a_ball(bench);
-    let clean = bench.both_ways(&clean, "clean");
+    let clean = bench.both_passes(&clean, "clean");
     let mut zero = more.clone();
     zero.quaternions[20] = [T::ZERO; 4];
     assert_left_out(bench, &clean, &zero, "zero quaternion");
@@ -223,18 +192,18 @@ fn shapes<T: Real>(bench: &Bench<T>) {
             map
         };
         // A speck, a needle or a disk: as small as the blur allows.
-        let (picture, gradients) = bench.both_ways(&scaled(1e-30), "sigma 1e-30");
-        assert!(picture.radii[20] > 0, "{}: axes {axes:b}", bench.name);
+        let (image, gradients) = bench.both_passes(&scaled(1e-30), "sigma 1e-30");
+        assert!(image.radii[20] > 0, "{}: axes {axes:b}", bench.name);
         assert!(
             row_size(&gradients, 20) > 1e-3,
-            "it still has a place and a colour"
+            "centre and colour have gradients"
         );
         // 1e60 px² fits into f64; 1e30 px² and its square not into f32.
         let fits = T::EPSILON < T::from_f64(1e-10);
         let huge = scaled(1e30);
         if fits {
-            let (picture, _) = bench.both_ways(&huge, "sigma 1e30");
-            assert!(picture.radii[20] > 0, "axes {axes:b}: it fills the sky");
+            let (image, _) = bench.both_passes(&huge, "sigma 1e30");
+            assert!(image.radii[20] > 0, "axes {axes:b}: visible");
         } else {
             assert_left_out(bench, &clean, &huge, "sigma 1e30");
         }
@@ -242,13 +211,13 @@ fn shapes<T: Real>(bench: &Bench<T>) {
 }
 
 #[test]
-fn quaternions_of_nothing_and_scales_beyond_reason() {
+fn zero_quaternions_and_extreme_scales() {
     for_each_form!(shapes, camera(), pose());
 }
 
 fn places<T: Real>(bench: &Bench<T>) {
     let clean = map(5, 20).cast::<T>();
-    let alone = bench.both_ways(&clean, "clean");
+    let alone = bench.both_passes(&clean, "clean");
     for p_cam in [
         [0.0, 0.0, -1.0],
         [0.3, -0.2, -1e-30],
@@ -273,13 +242,13 @@ fn behind_beside_and_on_the_camera() {
 
 fn logits<T: Real>(bench: &Bench<T>) {
     let (clean, mut more) = with_a_ball(bench);
-    let (clean, alone) = bench.both_ways(&clean, "clean");
+    let (clean, alone) = bench.both_passes(&clean, "clean");
     more.opacity_logits[20] = T::from_f64(-1e4);
-    let (picture, gradients) = bench.both_ways(&more, "logit -1e4");
-    assert!(picture.color == clean.color, "{}: transparent", bench.name);
+    let (image, gradients) = bench.both_passes(&more, "logit -1e4");
+    assert!(image.color == clean.color, "{}: transparent", bench.name);
     assert!(
         row_size(&gradients, 20) < 1e-300,
-        "{}: and asked nothing",
+        "{}: and has no gradient",
         bench.name
     );
     assert!(
@@ -289,8 +258,8 @@ fn logits<T: Real>(bench: &Bench<T>) {
     );
 
     more.opacity_logits[20] = T::from_f64(1e4);
-    let (picture, gradients) = bench.both_ways(&more, "logit 1e4");
-    let darkest = picture
+    let (image, gradients) = bench.both_passes(&more, "logit 1e4");
+    let darkest = image
         .transmittance
         .data()
         .iter()
@@ -299,31 +268,31 @@ fn logits<T: Real>(bench: &Bench<T>) {
     let by_logit = gradients.opacity_logits[20].to_f64();
     assert!(
         by_logit.abs() < 1e-300,
-        "{}: at its end, {by_logit}",
+        "{}: saturated, {by_logit}",
         bench.name
     );
     assert!(
         row_size(&gradients, 20) > 1e-3,
-        "{}: not of colour",
+        "{}: but of colour",
         bench.name
     );
 }
 
 #[test]
-fn logits_beyond_reason() {
+fn extreme_logits() {
     for_each_form!(logits, camera(), pose());
 }
 
 fn nothing_to_draw<T: Real>(bench: &Bench<T>) {
     let empty = GaussianMap::<T>::new(3);
-    let (picture, gradients) = bench.both_ways(&empty, "empty");
-    assert!(picture.projected.is_empty(), "nobody");
+    let (image, gradients) = bench.both_passes(&empty, "empty");
+    assert!(image.projected.is_empty(), "no splat");
     assert!(
         gradients.means.is_empty() && gradients.sh.is_empty(),
         "no rows"
     );
-    assert!(gradients.pose == [T::ZERO; 6], "no pull");
-    let light = picture.transmittance.data().iter().all(|t| *t == T::ONE);
+    assert!(gradients.pose == [T::ZERO; 6], "pose");
+    let light = image.transmittance.data().iter().all(|t| *t == T::ONE);
     assert!(light, "{}: all light passes", bench.name);
 }
 
@@ -335,11 +304,11 @@ fn one_pixel<T: Real>(bench: &Bench<T>) {
     }
     map.push(&ball(&bench.pose, [40.0, 0.0, 1.0]));
     map.label[2] = Label::Dynamic;
-    let (picture, gradients) = bench.both_ways(&map, "one pixel");
-    assert!(picture.contributors[(0, 0)] >= 1, "{}: drawn", bench.name);
+    let (image, gradients) = bench.both_passes(&map, "one pixel");
+    assert!(image.contributors[(0, 0)] >= 1, "{}: drawn", bench.name);
     assert!(
         row_size(&gradients, 1) > 1e-6,
-        "{}: the nearest is seen",
+        "{}: the nearest is visible",
         bench.name
     );
     for i in [0, 4, 5] {
@@ -354,7 +323,7 @@ fn empty_maps_and_one_pixel() {
     for_each_form!(one_pixel, dot, pose());
 }
 
-/// A bad number from above at one pixel reaches the splats of that pixel and the pose, no other.
+/// A bad upstream number at one pixel reaches the splats of that pixel and the pose, no other.
 fn bad_upstream<T: Real>(bench: &Bench<T>) {
     let map = map(11, 60).cast::<T>();
     let clean = bench.upstream();
@@ -371,11 +340,8 @@ fn bad_upstream<T: Real>(bench: &Bench<T>) {
             }
             let after = bench.gradients(&map, &up);
             let name = bench.name;
-            assert!(
-                after.pose.iter().all(|v| !v.is_finite()),
-                "{name}: the pose knows"
-            );
-            let blended = bench.picture(&map).contributors[at] as usize;
+            assert!(after.pose.iter().all(|v| !v.is_finite()), "{name}: pose");
+            let blended = bench.image(&map).contributors[at] as usize;
             let mut reached = 0;
             for i in 0..map.len() {
                 if after.means[i] == before.means[i] && after.sh_row(i) == before.sh_row(i) {
@@ -383,7 +349,7 @@ fn bad_upstream<T: Real>(bench: &Bench<T>) {
                 }
                 reached += 1;
                 let finite = after.means[i].iter().all(|v| v.is_finite());
-                // A splat whose alpha is clamped has only a colour and a depth to be taught.
+                // A splat whose alpha is clamped has gradients by colour and depth only.
                 assert!(
                     !finite || which != "opacity",
                     "{name}, {which} {value}: row {i}"
@@ -408,7 +374,7 @@ impl<T> ShRow<T> for Gradients<T> {
 }
 
 #[test]
-fn bad_numbers_from_above_stay_with_their_pixel() {
+fn bad_upstream_numbers_stay_with_their_pixel() {
     for_each_form!(bad_upstream, camera(), pose());
 }
 
@@ -424,13 +390,13 @@ fn one_depth<T: Real>(bench: &Bench<T>) {
         g.color = [0; 3].map(|_| T::from_f64(rng.uniform()));
         map.push(&g);
     }
-    let (picture, gradients) = bench.both_ways(&map, "one depth");
-    let rows: Vec<u32> = picture.projected.iter().map(|s| s.index).collect();
+    let (image, gradients) = bench.both_passes(&map, "one depth");
+    let rows: Vec<u32> = image.projected.iter().map(|s| s.index).collect();
     assert!(rows.is_sorted(), "{}: {rows:?}", bench.name);
     assert_eq!(rows.len(), 90, "{}: all of them", bench.name);
     assert!(
         (0..60).all(|i| row_size(&gradients, i) > 0.0),
-        "all of them are asked"
+        "all of them have gradients"
     );
 }
 
@@ -478,7 +444,7 @@ fn random_poison<T: Real>(bench: &Bench<T>, seed: u64) {
             _ => map.sh[4 * i + rng.below(4)][rng.below(3)] = bad,
         }
     }
-    bench.both_ways(&map, &format!("seed {seed}"));
+    bench.both_passes(&map, &format!("seed {seed}"));
 }
 
 proptest! {

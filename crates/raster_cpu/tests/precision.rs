@@ -1,6 +1,9 @@
 //! What the fast form in f32 loses against the reference in f64, both ways, on scenes as a map has
 //! them: within a few times what f32 costs a plain rewrite of the same formulas.
 
+mod common;
+
+use common::{GRADIENT_COST, column, flat, narrow, tensors};
 use garad_core::{Camera, GaussianMap, Image, KeyframeId, NewGaussian, Par, Real, Rng, Se3, So3};
 use garad_raster::{Gradients, RenderOptions, Rendered, Upstream, backward, fast, render};
 use nalgebra::{Vector2, Vector3};
@@ -36,7 +39,7 @@ fn scene(seed: u64, n: usize, camera: &Camera, pose: &Se3) -> GaussianMap<f32> {
     map
 }
 
-/// Normal numbers where both pictures blend the same splats, 0 elsewhere; and which these are.
+/// Normal numbers where both images blend the same splats, 0 elsewhere; and which these are.
 fn upstream(seed: u64, a: &Rendered<f32>, b: &Rendered<f64>) -> (Upstream<f64>, Vec<bool>) {
     let mut rng = Rng::keyed(seed, &[5]);
     let (w, h) = a.color.size();
@@ -55,34 +58,17 @@ fn upstream(seed: u64, a: &Rendered<f32>, b: &Rendered<f64>) -> (Upstream<f64>, 
         // Rounded first: both are asked for the same.
         let mut normal = || f64::from(rng.normal().to_f32());
         up.color[at] = [normal(), normal(), normal()];
-        for picture in [&mut up.depth, &mut up.opacity] {
-            picture.as_mut().expect("given")[at] = normal();
+        for image in [&mut up.depth, &mut up.opacity] {
+            image.as_mut().expect("given")[at] = normal();
         }
     }
     (up, kept)
 }
 
-fn narrow(up: &Upstream<f64>) -> Upstream<f32> {
-    let image = |i: &Image<f64>| i.map(|v| v.to_f32());
-    Upstream {
-        color: up.color.map(|c| c.map(Real::to_f32)),
-        depth: up.depth.as_ref().map(image),
-        opacity: up.opacity.as_ref().map(image),
-    }
-}
-
 /// A tensor, what f32 costs it as largest difference by largest value, its numbers.
 type Row = (&'static str, f64, Vec<f64>);
 
-fn flat<T: Real, const N: usize>(rows: &[[T; N]]) -> Vec<f64> {
-    rows.as_flattened().iter().map(|v| v.to_f64()).collect()
-}
-
-fn column<T: Real>(values: &[T]) -> Vec<f64> {
-    values.iter().map(|v| v.to_f64()).collect()
-}
-
-/// Pictures and splats. `kept` marks the pixels that are compared.
+/// Images and splats. `kept` marks the pixels that are compared.
 fn forward<T: Real>(p: &Rendered<T>, kept: &[bool]) -> Vec<Row> {
     let only = |values: Vec<f64>| -> Vec<f64> {
         let per_pixel = values.len() / kept.len();
@@ -121,19 +107,9 @@ fn forward<T: Real>(p: &Rendered<T>, kept: &[bool]) -> Vec<Row> {
 }
 
 fn gradients<T: Real>(g: &Gradients<T>) -> Vec<Row> {
-    vec![
-        ("d means", 9.2e-6, flat(&g.means)),
-        ("d log_scales", 6.2e-6, flat(&g.log_scales)),
-        ("d quaternions", 7.5e-6, flat(&g.quaternions)),
-        ("d opacity_logits", 7.1e-6, column(&g.opacity_logits)),
-        ("d sh", 8.1e-6, flat(&g.sh)),
-        ("d pose", 2.0e-5, column(&g.pose)),
-        ("d means2d", 8.3e-6, flat(&g.means2d)),
-        ("d conics", 8.4e-6, flat(&g.conics)),
-        ("d opacities", 7.1e-6, column(&g.opacities)),
-        ("d colors", 8.1e-6, flat(&g.colors)),
-        ("d depths", 8.1e-6, column(&g.depths)),
-    ]
+    let rows = tensors(g).into_iter().zip(GRADIENT_COST);
+    rows.map(|((name, values), cost)| (name, cost, values))
+        .collect()
 }
 
 /// 1 - cos of the angle between two tensors costs f32 1e-10.

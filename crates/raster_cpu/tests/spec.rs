@@ -1,4 +1,4 @@
-//! The picture by the formulas as they are written, pixel by pixel over all splats.
+//! The image by the formulas as they are written, pixel by pixel over all splats.
 
 mod common;
 
@@ -15,7 +15,8 @@ fn powers<T: Real>(s: &Projected<T>, x: usize, y: usize) -> (T, T) {
     (conic, c(-0.5) * (a * along * along + s.inv_var_y * dy * dy))
 }
 
-/// Colour without background, depth, transmittance, splats blended.
+/// Eq. 15 typed again, over all splats: colour without background, depth, transmittance, splats
+/// blended.
 fn dense_pixel<T: Real>(
     splats: &[Projected<T>],
     (x, y): (usize, usize),
@@ -50,23 +51,22 @@ fn dense_pixel<T: Real>(
     (color, depth, left, count)
 }
 
-/// Tiles, lists, the loop over splats outside and the cut of rows and columns to where alpha can
-/// reach 1/255 are arrangements: not one bit of the picture comes from them.
+/// Tiles and their lists change no bit of the image.
 fn spec_bits<T: Real>(map: &GaussianMap<T>) -> usize {
     let options = RenderOptions::default();
-    let picture =
-        render(map, &common::camera(), &common::pose(), &options, Par::Seq).expect("a picture");
+    let image =
+        render(map, &common::camera(), &common::pose(), &options, Par::Seq).expect("an image");
     let mut drawn = 0;
     for y in 0..50 {
         for x in 0..70 {
             let at = (x, y);
             let (color, depth, left, count) =
-                dense_pixel(&picture.projected, at, T::exp_nonpositive, |p| p.1);
+                dense_pixel(&image.projected, at, T::exp_nonpositive, |p| p.1);
             // Black background: adding T · 0 changes nothing.
-            assert!(picture.color[at] == color, "colour at {at:?}");
-            assert!(picture.depth[at] == depth, "depth at {at:?}");
-            assert!(picture.transmittance[at] == left, "transmittance at {at:?}");
-            assert_eq!(picture.contributors[at], count, "count at {at:?}");
+            assert!(image.color[at] == color, "colour at {at:?}");
+            assert!(image.depth[at] == depth, "depth at {at:?}");
+            assert!(image.transmittance[at] == left, "transmittance at {at:?}");
+            assert_eq!(image.contributors[at], count, "count at {at:?}");
             drawn += count as usize;
         }
     }
@@ -89,19 +89,19 @@ fn spec_alpha() {
     for seed in 0..6 {
         let map = common::map(seed, 150);
         let options = RenderOptions::default();
-        let picture = render(&map, &common::camera(), &common::pose(), &options, Par::Seq)
-            .expect("a picture");
+        let image =
+            render(&map, &common::camera(), &common::pose(), &options, Par::Seq).expect("an image");
         for y in 0..50 {
             for x in 0..70 {
                 let (color, depth, left, count) =
-                    dense_pixel(&picture.projected, (x, y), Real::exp, |p| p.0);
-                assert_eq!(picture.contributors[(x, y)], count, "count at {x}, {y}");
+                    dense_pixel(&image.projected, (x, y), Real::exp, |p| p.0);
+                assert_eq!(image.contributors[(x, y)], count, "count at {x}, {y}");
                 let close = |a: f64, b: f64| (a - b).abs() < 1e-11;
-                let colors = picture.color[(x, y)].iter().zip(color);
+                let colors = image.color[(x, y)].iter().zip(color);
                 assert!(
                     colors.into_iter().all(|(a, b)| close(*a, b))
-                        && close(picture.depth[(x, y)], depth)
-                        && close(picture.transmittance[(x, y)], left),
+                        && close(image.depth[(x, y)], depth)
+                        && close(image.transmittance[(x, y)], left),
                     "pixel {x}, {y}"
                 );
             }

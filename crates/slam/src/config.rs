@@ -10,12 +10,11 @@ mod tracking;
 mod validate;
 
 use garad_crf::CrfConfig;
+pub use garad_features::flow::FlowConfig;
 use serde::{Deserialize, Serialize};
 
 pub use keyframing::{CullingConfig, KeyframeConfig, LocalBaConfig, LoopConfig};
-pub use labels::{
-    FlowCheckConfig, FlowEstimatorKind, FlowModelKind, LabelConfig, PatchMotionConfig,
-};
+pub use labels::{LabelConfig, PatchMotionConfig, TaggedLabels};
 pub use mapping::{
     DensifyConfig, InsertionConfig, Optimiser, RateConfig, ScheduleConfig, TrainConfig,
 };
@@ -23,8 +22,6 @@ pub use tracking::{
     DepthPlanesConfig, DepthResidual, FeatureConfig, SubpixelConfig, TrackingConfig,
 };
 pub use validate::ConfigError;
-
-use labels::crf_default;
 
 /// Keys that were renamed in 0.2.0: (before, now). The old ones are read for one version more, as
 /// aliases.
@@ -38,12 +35,18 @@ pub const RENAMED_KEYS: [(&str, &str); 11] = [
     ("labels.second_sight", "labels.bootstrap_restart"),
     ("labels.hindsight", "labels.mask_freed_space"),
     ("labels.displacement", "labels.patch_motion"),
-    ("labels.patch_motion.better_ratio", "labels.patch_motion.min_residual_ratio"),
-    ("labels.patch_motion.better_by", "labels.patch_motion.min_residual_gain"),
+    (
+        "labels.patch_motion.better_ratio",
+        "labels.patch_motion.min_residual_ratio",
+    ),
+    (
+        "labels.patch_motion.better_by",
+        "labels.patch_motion.min_residual_gain",
+    ),
 ];
 
 /// The whole configuration; a TOML table per field.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
     /// Keypoints.
@@ -76,30 +79,7 @@ pub struct Config {
     /// What moves, and what that does to features.
     pub labels: LabelConfig,
     /// The conditional random field behind the labels.
-    #[serde(default = "crf_default")]
     pub crf: CrfConfig,
     /// The flow check of suspects.
-    pub flow: FlowCheckConfig,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Self {
-            features: FeatureConfig::default(),
-            tracking: TrackingConfig::default(),
-            depth_planes: DepthPlanesConfig::default(),
-            keyframes: KeyframeConfig::default(),
-            subpixel: SubpixelConfig::default(),
-            local_ba: LocalBaConfig::default(),
-            loops: LoopConfig::default(),
-            culling: CullingConfig::default(),
-            insertion: InsertionConfig::default(),
-            train: TrainConfig::default(),
-            densify: DensifyConfig::default(),
-            schedule: ScheduleConfig::default(),
-            labels: LabelConfig::default(),
-            crf: crf_default(),
-            flow: FlowCheckConfig::default(),
-        }
-    }
+    pub flow: FlowConfig,
 }

@@ -25,12 +25,7 @@ impl Context {
     ///
     /// # Errors
     /// [`SlamError::Config`] or [`SlamError::Camera`] naming the first invalid value.
-    pub fn new(
-        camera: Camera,
-        config: Config,
-        rng_seed: u64,
-        par: Par,
-    ) -> Result<Self, SlamError> {
+    pub fn new(camera: Camera, config: Config, rng_seed: u64, par: Par) -> Result<Self, SlamError> {
         config.validate()?;
         camera.validate()?;
         let mut scales = vec![1.0];

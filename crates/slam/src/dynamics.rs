@@ -27,7 +27,7 @@ pub(crate) mod evidence;
 pub(crate) mod field;
 pub(crate) mod flow_check;
 pub(crate) mod free_space;
-pub(crate) mod landmarks;
+pub mod landmarks;
 pub(crate) mod mask;
 pub(crate) mod patch_motion;
 pub(crate) mod retention;
@@ -36,7 +36,7 @@ pub(crate) mod samples;
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 
-use garad_core::{DepthImage, FrameId, KeyframeId, Label, LandmarkId, MaskImage};
+use garad_core::{DepthImage, FrameId, KeyframeId, MaskImage};
 use garad_crf::Crf;
 
 use self::bootstrap::{BootstrapBuffer, FutureView, future_views, patch_motion_pyramid};
@@ -44,7 +44,7 @@ use self::evidence::{FreeSpaceHistory, HistoryView};
 use self::field::label_samples;
 use self::flow_check::{PreviousFrame, restore_static};
 use self::free_space::FreeSpace;
-use self::landmarks::label_landmarks;
+use self::landmarks::{LandmarkLabel, label_landmarks};
 use self::patch_motion::reference_images;
 use self::samples::{FrameView, Lattice};
 use crate::config::ConfigError;
@@ -134,7 +134,6 @@ impl Dynamics {
     }
 
     /// Adds a keyframe's free space to the history and labels the landmarks of its local map.
-    /// Returns those whose label changed.
     pub(crate) fn label_keyframe(
         &mut self,
         context: &Context,
@@ -143,7 +142,7 @@ impl Dynamics {
         depth: &DepthImage,
         cells: Option<&MaskImage>,
         recorder: &mut Recorder,
-    ) -> Vec<(LandmarkId, Label)> {
+    ) -> Vec<LandmarkLabel> {
         let mut free_space = FreeSpace::new(depth, context.config.features.max_depth_m);
         if let Some(cells) = cells {
             free_space.set_moving(cells.clone());
@@ -151,7 +150,8 @@ impl Dynamics {
         self.free_space.insert(keyframe, free_space);
         let now = map.keyframe(keyframe).id;
         let oldest = now.0.saturating_sub(context.config.labels.memory_frames);
-        self.free_space.retain(|k, _| map.keyframe(*k).id.0 >= oldest);
+        self.free_space
+            .retain(|k, _| map.keyframe(*k).id.0 >= oldest);
         if !self.is_active(context, now) {
             return Vec::new();
         }

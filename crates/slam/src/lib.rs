@@ -24,6 +24,7 @@ pub mod mapping;
 pub mod mask;
 pub mod observer;
 mod pipeline;
+mod results;
 pub mod session;
 pub mod trace;
 pub mod tracking;
@@ -34,9 +35,7 @@ mod testing;
 
 pub use config::{Config, ConfigError, CullingConfig, LoopConfig};
 pub use context::Context;
-pub use io::{
-    FrameInput, FrameReport, LabelledFrame, ReplayedFrame, SlamError, TrackingState,
-};
+pub use io::{FrameInput, FrameReport, LabelledFrame, ReplayedFrame, SlamError, TrackingState};
 pub use keyframing::loop_closing::LoopClosure;
 pub use observer::{Observer, Silent, Stage};
 pub use pipeline::Slam;

@@ -201,7 +201,8 @@ impl Map {
     pub(crate) fn follow_anchors(&mut self) {
         for (id, anchor) in &self.culled {
             let anchor_from_world = self.keyframes[anchor.keyframe.index()].camera_from_world;
-            self.keyframes[id.index()].camera_from_world = anchor.culled_from_anchor * anchor_from_world;
+            self.keyframes[id.index()].camera_from_world =
+                anchor.culled_from_anchor * anchor_from_world;
         }
     }
 
@@ -215,7 +216,9 @@ impl Map {
             return;
         };
         for (keyframe, i) in gone.observations {
-            let seen = self.landmark(keep).is_some_and(|l| l.is_observed_by(keyframe));
+            let seen = self
+                .landmark(keep)
+                .is_some_and(|l| l.is_observed_by(keyframe));
             self.keyframe_mut(keyframe).landmark[i] = (!seen).then_some(keep);
             if !seen && let Some(landmark) = self.landmark_mut(keep) {
                 landmark.observations.push((keyframe, i));

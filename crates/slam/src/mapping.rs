@@ -104,7 +104,9 @@ impl Mapping {
 
     /// The mapper, while it is at rest.
     pub(crate) fn mapper_mut(&mut self) -> Option<&mut Mapper> {
-        self.worker.observed_mut().map(|observed| &mut *observed.mapper)
+        self.worker
+            .observed_mut()
+            .map(|observed| &mut *observed.mapper)
     }
 
     /// What was handed over so far.
@@ -266,7 +268,10 @@ mod tests {
         let when: Vec<_> = inline.iter().map(|(f, d)| (*f, d.keyframe.0)).collect();
         assert_eq!(when, [(5, 0), (8, 1), (9, 2)], "five frames later each");
         let (threaded, map_threaded) = handovers(2);
-        assert_eq!(inline, threaded, "the same answers from a thread of its own");
+        assert_eq!(
+            inline, threaded,
+            "the same answers from a thread of its own"
+        );
         assert!(
             map_inline.mapper().expect("at rest").gaussians()
                 == map_threaded.mapper().expect("at rest").gaussians(),

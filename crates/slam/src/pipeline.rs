@@ -9,9 +9,7 @@
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
-use garad_core::{
-    Camera, FrameId, GaussianMap, KeyframeId, Label, Par, StampedPose,
-};
+use garad_core::{Camera, FrameId, KeyframeId, Label, Par};
 use garad_features::{LkPyramid, PlaceConfig, PlaceIndex};
 
 use crate::config::Config;
@@ -23,24 +21,18 @@ use crate::dynamics::samples::FrameView;
 use crate::frame::extract::{FrameExtractor, wanted_keypoints};
 use crate::frame::{Frame, FrameLabels};
 use crate::images::{ImageStore, lk_pyramid};
-use crate::io::{
-    FrameInput, FrameReport, LabelledFrame, ReplayedFrame, SlamError, TrackingState,
-};
+use crate::io::{FrameInput, FrameReport, LabelledFrame, ReplayedFrame, SlamError, TrackingState};
 use crate::keyframing::Keyframing;
 use crate::keyframing::culling::cull_keyframes;
 use crate::keyframing::decide::needs_keyframe;
 use crate::keyframing::landmarks::{add_keyframe, landmarks_born_in};
 use crate::keyframing::local_ba::local_ba;
-use crate::keyframing::loop_closing::LoopClosure;
 use crate::map::Map;
 use crate::mapping::Mapping;
-use crate::mapping::job::{MappingDone, MappingJob};
-use crate::mapping::mapper::Mapper;
-use crate::mapping::train::TrainStep;
-use crate::mapping::worker::MappingObserver;
+use crate::mapping::job::MappingJob;
 use crate::mask::full_size;
 use crate::observer::{Observer, Stage};
-use crate::trace::{Recorder, TraceRecord};
+use crate::trace::Recorder;
 use crate::tracking::Tracker;
 use crate::tracking::depth_pose::drop_old_depth_planes;
 use crate::tracking::relocalise::static_descriptors;
@@ -74,12 +66,7 @@ impl Slam {
     ///
     /// # Errors
     /// [`SlamError::Config`] or [`SlamError::Camera`] for invalid values.
-    pub fn new(
-        camera: Camera,
-        config: Config,
-        rng_seed: u64,
-        par: Par,
-    ) -> Result<Self, SlamError> {
+    pub fn new(camera: Camera, config: Config, rng_seed: u64, par: Par) -> Result<Self, SlamError> {
         let context = Context::new(camera, config, rng_seed, par)?;
         let places = PlaceIndex::new(PlaceConfig::default(), rng_seed);
         Ok(Self {
@@ -300,7 +287,13 @@ impl Slam {
         labels: Option<FrameLabels>,
         observer: &mut dyn Observer,
     ) -> Result<KeyframeId, SlamError> {
-        let Self { context, map, keyframing, recorder, .. } = self;
+        let Self {
+            context,
+            map,
+            keyframing,
+            recorder,
+            ..
+        } = self;
         let config = &context.config;
         let frame_id = frame.id;
         let since_last = (frame_id.0 - map.last_keyframe_frame().0) as usize;
@@ -316,12 +309,11 @@ impl Slam {
         drop_old_depth_planes(map, id, config.depth_planes.keyframes);
         map.keyframe_mut(id).mask_depth_planes(mask.as_ref());
         observer.end(Stage::Keyframe);
-        let mut changed_labels = Vec::new();
+        let mut labels = Vec::new();
         if config.labels.enabled && input.mask.is_none() {
             observer.begin(Stage::LabelMap);
             let cells = cells.as_ref();
-            changed_labels =
-                (self.dynamics).label_keyframe(context, map, id, input.depth, cells, recorder);
+            labels = (self.dynamics).label_keyframe(context, map, id, input.depth, cells, recorder);
             observer.end(Stage::LabelMap);
         }
         if config.local_ba.enabled {
@@ -351,11 +343,14 @@ impl Slam {
                 depth: input.depth.clone(),
                 mask,
                 cells,
-                labels: changed_labels,
+                labels,
                 poses: map.keyframe_poses(),
                 moved,
                 new_landmarks: landmarks_born_in(map, id),
-                living: map.landmark_ids(),
+                living: map
+                    .landmarks()
+                    .map(|(l, landmark)| (l, landmark.label()))
+                    .collect(),
                 iterations: config.train.per_keyframe + config.train.per_frame * since_last,
             };
             self.mapping.submit(job)?;
@@ -381,7 +376,10 @@ impl Slam {
         let Some((buffer, future)) = restart else {
             return Ok(report);
         };
-        tracing::info!(frame = report.id.0, "something moves in the first frames: restart");
+        tracing::info!(
+            frame = report.id.0,
+            "something moves in the first frames: restart"
+        );
         self.restart(future)?;
         let last = self.replay(&buffer, report, observer);
         self.dynamics.drop_future();
@@ -391,7 +389,13 @@ impl Slam {
     /// As before the first frame, but with future views. Observer and recorded frames stay.
     fn restart(&mut self, future: Vec<FutureView>) -> Result<(), SlamError> {
         self.mapping.finish()?;
-        let Context { camera, config, rng_seed, par, .. } = self.context.clone();
+        let Context {
+            camera,
+            config,
+            rng_seed,
+            par,
+            ..
+        } = self.context.clone();
         let fresh = Self::new(camera, config, rng_seed, par)?;
         let before = std::mem::replace(self, fresh);
         self.dynamics = Dynamics::restarted(&self.context, future)?;
@@ -419,143 +423,11 @@ impl Slam {
         Ok(last)
     }
 
-    /// Observes the mapper's stages, from whatever thread it runs in. To be called before the first
-    /// frame.
-    #[must_use]
-    pub fn with_mapping_observer(mut self, observer: MappingObserver) -> Self {
-        self.mapping.observe(observer);
-        self
-    }
-
-    /// Records the inputs and outputs of every stage of these frames. To be called before
-    /// the first frame. Nothing of the result changes.
-    #[must_use]
-    pub fn with_trace(mut self, frames: RangeInclusive<u32>) -> Self {
-        self.record_frames(Some(frames));
-        self
-    }
-
-    fn record_frames(&mut self, frames: Option<RangeInclusive<u32>>) {
+    pub(crate) fn record_frames(&mut self, frames: Option<RangeInclusive<u32>>) {
         if let Some(mapper) = self.mapping.mapper_mut() {
             mapper.record_frames(frames.clone());
         }
         self.recorder.set_frames(frames);
-    }
-
-    /// The trace so far, tracking and mapping of each frame together, in the order of the data. What
-    /// the mapper recorded is missing while it is under way: call [`Slam::finish`] before.
-    pub fn take_trace(&mut self) -> Vec<TraceRecord> {
-        let mut records = self.recorder.take();
-        let of_mapper = self.mapping.mapper_mut().map(Mapper::take_trace);
-        records.extend(of_mapper.unwrap_or_default());
-        records.sort_by_key(|record| record.frame); // stable
-        records
-    }
-
-    /// Whether the run may still restart.
-    #[must_use]
-    pub fn may_restart(&self) -> bool {
-        self.dynamics.may_restart()
-    }
-
-    /// The outcome of the first frames when they were processed again; empty but for once, after the
-    /// last of them. The frame just given is not among them: its report is the answer to it.
-    pub fn take_replayed(&mut self) -> Vec<ReplayedFrame> {
-        std::mem::take(&mut self.replayed)
-    }
-
-    /// Takes over every mapping job under way. From here until the next keyframe
-    /// [`Slam::gaussians`] has an answer.
-    ///
-    /// # Errors
-    /// [`SlamError::MappingLost`].
-    pub fn finish(&mut self) -> Result<(), SlamError> {
-        self.mapping.finish()
-    }
-
-    /// Trains the map on the keyframes' images for `config.train.final_iterations` iterations, after
-    /// the last frame; `on_step` is told of each. Gaussians that have faded are pruned.
-    ///
-    /// # Errors
-    /// [`SlamError::Train`]; the map is then as it was after the last good iteration.
-    /// [`SlamError::MappingLost`].
-    pub fn train_final(&mut self, on_step: &mut dyn FnMut(&TrainStep)) -> Result<(), SlamError> {
-        self.finish()?;
-        let poses = self.map.keyframe_poses();
-        let iterations = self.context.config.train.final_iterations;
-        let mapper = self.mapping.mapper_mut().ok_or(SlamError::MappingLost)?;
-        Ok(mapper.train_final(iterations, poses, on_step)?)
-    }
-
-    /// The path so far: every tracked frame, moved along with its adjusted keyframe.
-    #[must_use]
-    pub fn trajectory(&self) -> Vec<StampedPose> {
-        self.trajectory.stamped(&self.map)
-    }
-
-    /// The keyframes' poses.
-    #[must_use]
-    pub fn keyframe_trajectory(&self) -> Vec<StampedPose> {
-        let pose = |k: &Frame| StampedPose {
-            t_s: k.t_s,
-            world_from_camera: k.camera_from_world.inverse(),
-        };
-        self.map.keyframes().iter().map(pose).collect()
-    }
-
-    /// Landmarks and keyframes.
-    #[must_use]
-    pub fn map(&self) -> &Map {
-        &self.map
-    }
-
-    /// The map of Gaussians; `None` while jobs are under way in another thread: call
-    /// [`Slam::finish`] before.
-    #[must_use]
-    pub fn gaussians(&self) -> Option<&GaussianMap> {
-        self.mapping.mapper().map(Mapper::gaussians)
-    }
-
-    /// The mapping jobs handed over so far.
-    #[must_use]
-    pub fn mapped(&self) -> &[MappingDone] {
-        self.mapping.done()
-    }
-
-    /// The loops that were closed, oldest first.
-    #[must_use]
-    pub fn loops(&self) -> &[LoopClosure] {
-        self.keyframing.loops.closed()
-    }
-
-    /// The last tracked frame, with the landmarks its keypoints were linked to.
-    #[must_use]
-    pub fn last_frame(&self) -> Option<&Frame> {
-        self.tracker.last()
-    }
-
-    /// What moves in the last frame; `None` if it was not labelled: lost, bootstrap, or a mask given.
-    #[must_use]
-    pub fn labelled_frame(&self) -> Option<&LabelledFrame> {
-        self.labelled.as_ref()
-    }
-
-    /// The camera.
-    #[must_use]
-    pub fn camera(&self) -> &Camera {
-        &self.context.camera
-    }
-
-    /// The configuration.
-    #[must_use]
-    pub fn config(&self) -> &Config {
-        &self.context.config
-    }
-
-    /// The seed of every random draw.
-    #[must_use]
-    pub fn seed(&self) -> u64 {
-        self.context.rng_seed
     }
 }
 

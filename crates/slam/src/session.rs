@@ -69,9 +69,9 @@ impl Slam {
         to.put("camera", camera)?;
         to.put("configuration", config)?;
         to.put("rng_seed", rng_seed)?;
+        to.put("map", map)?;
         tracker.save(&mut to)?;
         dynamics.save(&mut to)?;
-        to.put("map", map)?;
         to.put("keyframing", keyframing)?;
         to.put("places", places)?;
         to.put("images", &images.to_saved())?;
@@ -93,9 +93,9 @@ impl Slam {
         let fresh = Self::new(camera, config, from.take("rng_seed")?, par)?;
         let context = &fresh.context;
         Ok(Self {
+            map: from.take("map")?,
             tracker: Tracker::load(&mut from)?,
             dynamics: Dynamics::load(&mut from, context)?,
-            map: from.take("map")?,
             keyframing: from.take("keyframing")?,
             places: from.take("places")?,
             images: ImageStore::from_saved(from.take("images")?),
@@ -222,7 +222,9 @@ mod tests {
             (camera, &config, 4, "seed: the session has 3, this run 4"),
             (camera, &untrained, 3, "configuration.train.per_keyframe"),
         ] {
-            let error = slam.resume_with(&camera, config, seed).expect_err("refused");
+            let error = slam
+                .resume_with(&camera, config, seed)
+                .expect_err("refused");
             assert!(error.to_string().starts_with(expected), "{error}");
         }
     }
@@ -246,7 +248,10 @@ mod tests {
         let error = slam
             .resume_with(&slam.context.camera.clone(), &mute, 3)
             .expect_err("no image was kept to train on");
-        assert!(error.to_string().contains("train.final_iterations"), "{error}");
+        assert!(
+            error.to_string().contains("train.final_iterations"),
+            "{error}"
+        );
     }
 
     #[test]

@@ -1,8 +1,6 @@
 //! Fixtures of the unit tests: a small camera in front of a wall, and its frames.
 
-use garad_core::{
-    Camera, DepthImage, FrameId, GrayImage, KeyframeId, MaskImage, Par, Rng,
-};
+use garad_core::{Camera, DepthImage, FrameId, GrayImage, KeyframeId, MaskImage, Par, Rng};
 use garad_features::{Descriptor, Keypoint, LkPyramid};
 
 use crate::config::Config;

@@ -163,8 +163,7 @@ impl Tracker {
             record.local_map(&local.visible);
             record.links(frame);
         });
-        let mut inliers =
-            refine_pose_with_depth(context, map, frame, MIN_SHARE_LABELLED, recorder);
+        let mut inliers = refine_pose_with_depth(context, map, frame, MIN_SHARE_LABELLED, recorder);
         if let Some(pyramid) = pyramid.filter(|_| context.config.subpixel.enabled && inliers > 0) {
             refine_matches(context, map, images, frame, pyramid, depth, recorder);
             inliers = pose_from_links(context, map, frame, recorder);
@@ -204,8 +203,7 @@ impl Tracker {
     /// across a gap. To be called before any adjustment, while both poses are in the same map.
     pub(crate) fn update_velocity(&mut self, frame: &Frame) {
         let last = self.last.as_ref().filter(|l| l.id.0 + 1 == frame.id.0);
-        self.velocity =
-            last.map(|last| frame.camera_from_world * last.camera_from_world.inverse());
+        self.velocity = last.map(|last| frame.camera_from_world * last.camera_from_world.inverse());
     }
 
     /// The frame from which the next one is tracked.
@@ -246,7 +244,9 @@ impl Tracker {
         Ok(Self {
             state: from.take("state")?,
             last: from.take("last")?,
-            last_pyramid: from.take::<Option<LkPyramid>>("last_pyramid")?.map(Arc::new),
+            last_pyramid: from
+                .take::<Option<LkPyramid>>("last_pyramid")?
+                .map(Arc::new),
             velocity: from.take("velocity")?,
             reference: from.take("reference")?,
             relocalised_at: from.take("relocalised_at")?,

@@ -11,8 +11,10 @@ use std::sync::OnceLock;
 
 use garad_core::{Label, MaskImage, Par, StampedPose};
 use garad_eval::{AteOptions, Confusion, ate};
-use garad_slam::LabelledFrame;
-use garad_slam::{Config, FrameInput, FrameReport, Silent, Slam, TrackingState};
+use garad_slam::config::TaggedLabels;
+use garad_slam::{
+    Config, FrameInput, FrameReport, LabelledFrame, Silent, Slam, TrackingState,
+};
 use garad_synth::{Scene, SceneConfig, SceneName, SynthFrame};
 
 const BOOTSTRAP: usize = 10;
@@ -391,6 +393,41 @@ fn same_labels_on_threads(config: &Config) {
 }
 
 /// `--without flow`: the mask is what it was, and suspects stay suspects.
+/// With `labels.tagged = "landmark"` a landmark and its Gaussian are one thing. (Debug builds check
+/// the invariant of both settings after every keyframe.)
+#[test]
+fn a_landmark_and_its_gaussian_never_differ() {
+    for tagged in [TaggedLabels::Landmark, TaggedLabels::Evidence] {
+        let mut config = Config::default();
+        config.labels.tagged = tagged;
+        (config.train.per_keyframe, config.train.per_frame) = (1, 0);
+        let camera = walking().scene.camera();
+        let mut slam = Slam::new(camera, config, 0, Par::Seq).expect("valid");
+        for frame in &walking().frames {
+            let input = FrameInput {
+                t_s: frame.t_s,
+                rgb: &frame.rgb,
+                depth: &frame.depth,
+                mask: None,
+            };
+            slam.process(&input, &mut Silent).expect("a good frame");
+        }
+        slam.finish().expect("mapped");
+        let gaussians = slam.gaussians().expect("at rest");
+        let labels = gaussians.landmark.iter().zip(&gaussians.label);
+        let pairs: Vec<(Label, Label)> = labels
+            .filter_map(|(tag, label)| Some((slam.map().landmark((*tag)?)?.label(), *label)))
+            .collect();
+        let moving = pairs.iter().filter(|(l, _)| *l == Label::Dynamic).count();
+        let differ = pairs.iter().filter(|(l, g)| l != g).count();
+        assert!(pairs.len() > 300 && moving > 10, "{moving} of {}", pairs.len());
+        match tagged {
+            TaggedLabels::Landmark => assert_eq!(differ, 0, "of {}", pairs.len()),
+            TaggedLabels::Evidence => assert!(differ < pairs.len() / 10, "{differ}"),
+        }
+    }
+}
+
 #[test]
 fn without_flow_suspects_stay_suspects() {
     let mut without = config();
@@ -485,7 +522,9 @@ fn more_keypoints_are_detected_where_people_take_some() {
     let times = [second as f64 / first as f64, left_then as f64 / left as f64];
     assert!(times[0] > 1.5 && times[1] > 1.5, "{times:?} times as many");
     assert!(left_then > 4 * first / 5, "{left_then} of {first} are left");
-    for (max_oversampling, covered, why) in [(1.0, half, "switched off"), (2.0, 0, "nothing covered")] {
+    for (max_oversampling, covered, why) in
+        [(1.0, half, "switched off"), (2.0, 0, "nothing covered")]
+    {
         let [one, other] = counts(max_oversampling, covered);
         assert_eq!(one, other, "{why}");
     }

@@ -338,7 +338,7 @@ fn sections_can_be_read_one_by_one() {
     let camera: garad_core::Camera = reader.take("camera").expect("first");
     assert_eq!(camera, *slam.camera(), "the camera");
     let _: Config = reader.take("configuration").expect("second");
-    let _: u64 = reader.take("seed").expect("third");
+    let _: u64 = reader.take("rng_seed").expect("third");
     let map: Map = reader.take("map").expect("fourth");
     assert!(postcard(&map) == postcard(slam.map()), "the map");
 }

@@ -1,9 +1,10 @@
 //! Pyramids, two views, flow, places.
 
+use garad_core::chi_square::chi2_2dof_quantile;
 use garad_core::pyramid::{GrayPyramid, level_scales};
 use garad_core::{Camera, KeyframeId, Se3, So3};
 use garad_features::epipolar::{fundamental, point_to_line_px, sampson_px2};
-use garad_features::flow::{FlowFit, chi2_2dof_quantile};
+use garad_features::flow::FlowFit;
 use garad_features::lk::reference::scharr;
 use garad_features::orb::blur;
 use garad_features::{
@@ -83,7 +84,8 @@ fn flow_points(fields: Fields<'_>, who: &str) -> Result<Vec<FlowPoint>, OwnError
 
 pub(super) fn flow(fields: Fields<'_>) -> Result<Outputs, OwnError> {
     let config = FlowConfig {
-        form: match fields.word("form")? {
+        enabled: true,
+        model: match fields.word("form")? {
             "raw" => FlowForm::Raw,
             "residual" => FlowForm::Residual,
             other => return Err(fields.wrong(format!("form '{other}'"))),

@@ -13,10 +13,11 @@ use std::array::from_fn;
 use garad_core::Par;
 use wide::f64x4;
 
-use crate::config::{Distance, KernelConfig};
+use crate::config::KernelConfig;
 use crate::cues::Node;
 use crate::fast::exp::exp_nonpositive;
 use crate::fast::tree::{DIMENSIONS, GROUP, Group, Metric, groups};
+use crate::readings::Distance;
 
 /// Vectors per row of a block.
 const VECTORS: usize = GROUP / 4;
@@ -144,7 +145,7 @@ impl PositionSums {
 
     /// Σⱼ k(i, j) sⱼ for each node i.
     pub(crate) fn sums(&self, s: &[f64], par: Par) -> Vec<f64> {
-        // Empty places of a group say nothing.
+        // Empty places of a group have weight 0.
         let s: Vec<[f64; GROUP]> = self
             .groups
             .iter()
@@ -200,8 +201,8 @@ fn add(sum: &mut Row, part: &Row) {
     }
 }
 
-/// Block times what the second group says, returned; with `BOTH`, also the transposed block times
-/// what the first group says, added to `columns`. Four rows at a time, so that a column's sum is
+/// Block times the values of the second group, returned; with `BOTH`, also the transposed block times
+/// the values of the first group, added to `columns`. Four rows at a time, so that a column's sum is
 /// touched once for four of them.
 #[inline(always)]
 fn accumulate<const BOTH: bool>(
@@ -236,8 +237,8 @@ fn accumulate<const BOTH: bool>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::PositionTerms;
     use crate::kernel;
+    use crate::readings::PositionTerms;
     use nalgebra::Vector3;
 
     #[test]

@@ -36,7 +36,7 @@ const INVERSE_FACTORIALS: [f64; 12] = [
 #[inline(always)]
 pub(crate) fn exp_nonpositive(x: f64x4) -> f64x4 {
     let smallest = f64x4::splat(SMALLEST);
-    // What a NaN leaves here is thrown away below.
+    // A NaN gives some number here, which is masked below.
     let reduced = x.fast_max(smallest);
     let shifted = reduced * f64x4::splat(std::f64::consts::LOG2_E) + f64x4::splat(ROUND);
     let n = shifted - f64x4::splat(ROUND);

@@ -1,19 +1,16 @@
-//! Sums of the feature kernel without looking at pairs.
+//! Sums of the feature kernel (eq. 5) in O(N), by Chebyshev interpolation.
 //!
 //! k¹ = exp(-(x - y)² / 2) G(γ, γ'), x = α / σ_α. Observations γ are small integers, so the nodes
-//! fall into few rows; within a row only the real number x is left. Cut its axis into cells of one
-//! σ with p = 16 Chebyshev points each. Inside a cell the kernel is so smooth that the values at the
-//! points determine it everywhere,
+//! fall into few rows; within a row only the real number x is left. Its axis is cut into cells of one
+//! σ with p = 16 Chebyshev points each. Inside a cell the kernel is given by its values at the points,
 //!
 //! exp(-(x - y)² / 2) = Σ_a Σ_b L_a(x) exp(-(t_a - t_b)² / 2) L_b(y),   L: Lagrange polynomials
 //!
-//! up to an error below 5e-16 (C4 in docs/math_crf.md). So what all nodes say is first gathered at
-//! the points (N p operations), carried from points to points (a few thousand), and read off at the
-//! nodes (N p): O(N) instead of O(N²).
+//! up to an error below 5e-16 (C4 in docs/math_crf.md). So the terms of all nodes are first summed at
+//! the points (N p operations), carried from points to points (a few thousand), and interpolated at the
+//! nodes (N p).
 
 use std::f64::consts::PI;
-
-use garad_core::Par;
 
 use crate::config::KernelConfig;
 use crate::cues::Node;
@@ -21,7 +18,7 @@ use crate::kernel::features;
 
 /// Points per cell.
 const P: usize = 16;
-/// Cells further apart than this say nothing to each other: e^(-9² / 2) = 2.6e-18.
+/// Cells further apart than this are left out: e^(-9² / 2) = 2.6e-18.
 const REACH: i64 = 9;
 /// Interpolation error of one kernel value, twice over (source and target); see C4.
 const INTERPOLATION: f64 = 5e-16;
@@ -29,8 +26,8 @@ const INTERPOLATION: f64 = 5e-16;
 /// are up to 2.8² times the value.
 const ROUNDING: f64 = 500.0 * f64::EPSILON;
 
-/// Up to this many boxes (row, cell), and 64 per node on top, are a grid; with more, the nodes are so
-/// scattered that looking at pairs is no worse and needs no memory.
+/// With more boxes (row, cell) than this, and 64 per node on top, the nodes are so scattered that a sum
+/// over pairs is no slower and needs no memory.
 const MAX_BOXES: usize = 65_536;
 
 /// One number per point of a cell.
@@ -47,109 +44,12 @@ struct Member {
     size: f64,
 }
 
-/// The feature kernel between all nodes: through the grid, or pair by pair.
-pub(crate) enum FeatureSums {
-    Grid(Grid),
-    Pairs(Pairs),
-}
-
-impl FeatureSums {
-    pub(crate) fn new(nodes: &[Node], config: &KernelConfig, self_message: bool) -> Self {
-        let pairs = Pairs::new(nodes, config, self_message);
-        let mut rows: Vec<u32> = pairs.members.iter().map(|m| m.gamma).collect();
-        rows.sort_unstable();
-        rows.dedup();
-        let mut cells: Vec<i64> = pairs.members.iter().map(|m| cell_of(m.x).0).collect();
-        cells.sort_unstable();
-        cells.dedup();
-        if rows.len().saturating_mul(cells.len()) > MAX_BOXES + 64 * pairs.members.len() {
-            Self::Pairs(pairs)
-        } else {
-            Self::Grid(Grid::new(&pairs, rows, cells))
-        }
-    }
-
-    /// Bound on the error of each node's sum for |s| ≤ 1.
-    pub(crate) fn left_out(&self) -> Vec<f64> {
-        match self {
-            Self::Grid(grid) => grid.left_out(),
-            Self::Pairs(pairs) => vec![0.0; pairs.n],
-        }
-    }
-
-    /// Σⱼ k(i, j) sⱼ for each node i.
-    pub(crate) fn sums(&self, s: &[f64], par: Par) -> Vec<f64> {
-        match self {
-            Self::Grid(grid) => grid.sums(s),
-            Self::Pairs(pairs) => pairs.sums(s, par),
-        }
-    }
-}
-
-/// Both features of a node.
-struct Features {
-    node: usize,
-    /// α / σ_α.
-    x: f64,
-    gamma: u32,
-}
-
-/// All nodes that have both features.
-pub(crate) struct Pairs {
-    n: usize,
-    self_message: bool,
-    sigma_observations: f64,
-    members: Vec<Features>,
-}
-
-impl Pairs {
-    fn new(nodes: &[Node], config: &KernelConfig, self_message: bool) -> Self {
-        let members = nodes.iter().enumerate().filter_map(|(node, of)| {
-            let (alpha, gamma) = features(of)?;
-            let x = alpha / config.sigma_reproj_px;
-            Some(Features { node, x, gamma })
-        });
-        Self {
-            n: nodes.len(),
-            self_message,
-            sigma_observations: config.sigma_observations,
-            members: members.collect(),
-        }
-    }
-
-    /// -(γ - γ')² / 2σ_γ².
-    fn between_rows(&self, a: u32, b: u32) -> f64 {
-        let delta = (f64::from(a) - f64::from(b)) / self.sigma_observations;
-        -0.5 * (delta * delta)
-    }
-
-    fn sums(&self, s: &[f64], par: Par) -> Vec<f64> {
-        let of_members = par.map(self.members.len(), |i| {
-            let own = &self.members[i];
-            let mut sum = 0.0;
-            for (j, other) in self.members.iter().enumerate() {
-                if j != i || self.self_message {
-                    let delta = own.x - other.x;
-                    let exponent = self.between_rows(own.gamma, other.gamma);
-                    sum += libm::exp(exponent - 0.5 * (delta * delta)) * s[other.node];
-                }
-            }
-            sum
-        });
-        let mut sums = vec![0.0; self.n];
-        for (member, sum) in self.members.iter().zip(of_members) {
-            sums[member.node] = sum;
-        }
-        sums
-    }
-}
-
-/// The kernel through points.
+/// The feature kernel between all nodes.
 pub(crate) struct Grid {
     n: usize,
     self_message: bool,
     members: Vec<Member>,
-    /// Numbers of the cells that hold somebody, ascending.
+    /// Numbers of the cells that are not empty, ascending.
     cells: Vec<i64>,
     /// G between rows.
     between_rows: Vec<Vec<f64>>,
@@ -160,30 +60,48 @@ pub(crate) struct Grid {
 }
 
 impl Grid {
-    /// `rows` and `cells`: what the members' γ and x fall into, ascending.
-    fn new(of: &Pairs, rows: Vec<u32>, cells: Vec<i64>) -> Self {
+    /// `None` where the nodes are too scattered for a grid.
+    pub(crate) fn new(nodes: &[Node], config: &KernelConfig, self_message: bool) -> Option<Self> {
+        let known: Vec<(usize, f64, u32)> = nodes
+            .iter()
+            .enumerate()
+            .filter_map(|(node, of)| {
+                let (alpha, gamma) = features(of)?;
+                Some((node, alpha / config.sigma_reproj_px, gamma))
+            })
+            .collect();
+        let mut rows: Vec<u32> = known.iter().map(|&(_, _, gamma)| gamma).collect();
+        rows.sort_unstable();
+        rows.dedup();
+        let mut cells: Vec<i64> = known.iter().map(|&(_, x, _)| cell_of(x).0).collect();
+        cells.sort_unstable();
+        cells.dedup();
+        if rows.len().saturating_mul(cells.len()) > MAX_BOXES + 64 * known.len() {
+            return None;
+        }
         let polynomials = Lagrange::new();
         let mut population = vec![0; rows.len() * cells.len()];
-        let members = of.members.iter().filter_map(|m| {
-            let (number, y) = cell_of(m.x);
-            let row = rows.binary_search(&m.gamma).ok()?;
-            let cell = cells.binary_search(&number).ok()?;
+        let members = known.iter().map(|&(node, x, gamma)| {
+            let (number, y) = cell_of(x);
+            let row = rows.binary_search(&gamma).expect("made of these rows");
+            let cell = cells.binary_search(&number).expect("made of these cells");
             population[row * cells.len() + cell] += 1;
-            Some(Member {
-                node: m.node,
+            Member {
+                node,
                 row,
                 cell,
                 lagrange: polynomials.at(y),
-                size: m.x.abs(),
-            })
+                size: x.abs(),
+            }
         });
         let members = members.collect();
-        let g = |a: u32, b: u32| libm::exp(of.between_rows(a, b));
+        let gaussian = |delta: f64| libm::exp(-0.5 * (delta * delta));
+        let g =
+            |a: u32, b: u32| gaussian((f64::from(a) - f64::from(b)) / config.sigma_observations);
         let t = points();
-        let kernel = |delta: f64| libm::exp(-0.5 * (delta * delta));
-        Self {
-            n: of.n,
-            self_message: of.self_message,
+        Some(Self {
+            n: nodes.len(),
+            self_message,
             members,
             between_rows: rows
                 .iter()
@@ -191,14 +109,14 @@ impl Grid {
                 .collect(),
             population,
             carry: (-REACH..=REACH)
-                .map(|step| t.map(|t_b| t.map(|t_a| kernel(step as f64 + t_a - t_b))))
+                .map(|step| t.map(|t_b| t.map(|t_a| gaussian(step as f64 + t_a - t_b))))
                 .collect(),
             cells,
-        }
+        })
     }
 
-    /// The cells that cell `c` hears, with the table that carries from them.
-    fn heard_by(&self, c: usize) -> impl Iterator<Item = (usize, i64)> {
+    /// The cells within reach of cell `c`, and how many cells away each is.
+    fn within_reach(&self, c: usize) -> impl Iterator<Item = (usize, i64)> {
         let own = self.cells[c];
         let first = self.cells.partition_point(|&cell| cell < own - REACH);
         self.cells[first..]
@@ -210,19 +128,19 @@ impl Grid {
 
     /// Bound on the error of each node's sum for |s| ≤ 1, from what interpolation and rounding do
     /// to each pair.
-    fn left_out(&self) -> Vec<f64> {
+    pub(crate) fn left_out(&self) -> Vec<f64> {
         let columns = self.cells.len();
-        // Per (row, cell): the number of nodes that are heard, in full and by the largest value that
-        // the kernel can have between the cells.
+        // Per (row, cell): the weights of all nodes, by G alone and by the largest value of the
+        // kernel between the cells.
         let mut total = vec![[0.0f64; 2]; self.population.len()];
         for (row, g) in self.between_rows.iter().enumerate() {
             for c in (0..columns).filter(|c| self.population[row * columns + c] > 0) {
                 for (other_row, g) in g.iter().enumerate() {
-                    let everyone: usize = self.population[other_row * columns..][..columns]
+                    let in_row: usize = self.population[other_row * columns..][..columns]
                         .iter()
                         .sum();
-                    total[row * columns + c][0] += g * everyone as f64;
-                    for (other, step) in self.heard_by(c) {
+                    total[row * columns + c][0] += g * in_row as f64;
+                    for (other, step) in self.within_reach(c) {
                         let gap = (step.abs() - 1).max(0) as f64;
                         let nodes = self.population[other_row * columns + other] as f64;
                         total[row * columns + c][1] += nodes * g * libm::exp(-0.5 * (gap * gap));
@@ -232,16 +150,16 @@ impl Grid {
         }
         let mut left_out = vec![0.0; self.n];
         for m in &self.members {
-            let [everyone, near] = total[m.row * columns + m.cell];
+            let [all, near] = total[m.row * columns + m.cell];
             // x itself is rounded: the kernel's slope is at most 0.61.
             let rounding = ROUNDING + 4.0 * f64::EPSILON * (m.size + 10.0);
-            left_out[m.node] = INTERPOLATION * everyone + rounding * near;
+            left_out[m.node] = INTERPOLATION * all + rounding * near;
         }
         left_out
     }
 
     /// Σⱼ k(i, j) sⱼ for each node i.
-    fn sums(&self, s: &[f64]) -> Vec<f64> {
+    pub(crate) fn sums(&self, s: &[f64]) -> Vec<f64> {
         let columns = self.cells.len();
         let mut gathered = vec![[0.0; P]; self.population.len()];
         for m in &self.members {
@@ -251,14 +169,15 @@ impl Grid {
                 &m.lagrange,
             );
         }
-        // Along x within each row, to every cell that somebody will listen in.
+        // Along x within each row, to every cell.
         let mut carried = vec![[0.0; P]; self.population.len()];
         for row in 0..self.between_rows.len() {
             for c in 0..columns {
                 let sum = &mut carried[row * columns + c];
-                for (source, step) in self.heard_by(c) {
+                for (source, step) in self.within_reach(c) {
                     if self.population[row * columns + source] > 0 {
-                        let table = &self.carry[usize::try_from(step + REACH).unwrap_or(0)];
+                        let table =
+                            &self.carry[usize::try_from(step + REACH).expect("|step| ≤ REACH")];
                         for (value, column) in gathered[row * columns + source].iter().zip(table) {
                             add(sum, *value, column);
                         }
@@ -266,21 +185,21 @@ impl Grid {
                 }
             }
         }
-        // Across rows, where somebody listens.
-        let mut heard = vec![[0.0; P]; self.population.len()];
+        // Across rows, to cells that are not empty.
+        let mut arrived = vec![[0.0; P]; self.population.len()];
         for (row, g) in self.between_rows.iter().enumerate() {
             for (source, &g) in g.iter().enumerate() {
                 if g > 0.0 {
                     for c in (0..columns).filter(|c| self.population[row * columns + c] > 0) {
                         let from = carried[source * columns + c];
-                        add(&mut heard[row * columns + c], g, &from);
+                        add(&mut arrived[row * columns + c], g, &from);
                     }
                 }
             }
         }
         let mut sums = vec![0.0; self.n];
         for m in &self.members {
-            let at_points = &heard[m.row * columns + m.cell];
+            let at_points = &arrived[m.row * columns + m.cell];
             let read = at_points
                 .iter()
                 .zip(&m.lagrange)

@@ -9,13 +9,14 @@ use std::ops::Range;
 
 use nalgebra::Vector3;
 
-use crate::config::{Distance, KernelConfig, PositionTerms};
+use crate::config::KernelConfig;
 use crate::cues::Node;
+use crate::readings::{Distance, PositionTerms};
 
 /// Nodes per group. Larger groups leave less out, smaller ones cost more per pair: 8 and 16 take the
 /// same time on a room of 5 000 nodes, 32 a third more.
 pub(crate) const GROUP: usize = 16;
-/// Numbers that say where a node is: x, y, z in metres, u, v in px.
+/// Coordinates of a node: x, y, z in metres, u, v in px.
 pub(crate) const DIMENSIONS: usize = 5;
 
 /// Where something is, unscaled.

@@ -1,11 +1,11 @@
-//! Two views of a rigid scene: where a point of one may lie in the other.
+//! Two views of a rigid scene: epipolar geometry.
 //!
 //! Points are ideal pixels (x, y) of views 1 and 2, homogeneous p = (x, y, 1); everywhere
 //!
 //! p₂ᵀ F p₁ = 0,   F = K₂⁻ᵀ E K₁⁻¹,   E = t^ R,   (R, t) = `second_from_first`.        (E15)
 //!
-//! This file makes F from known poses and measures how far a pair of points is from agreeing with
-//! it; [`mod@eight_point`] and [`ransac`] find F from pairs of points alone.
+//! This file computes F from known poses and the distance of a pair of points from
+//! it; [`mod@eight_point`] and [`ransac`] estimate F from pairs of points alone.
 
 pub mod eight_point;
 mod jacobi;
@@ -21,7 +21,7 @@ pub use ransac::{FundamentalEstimate, RansacConfig, fundamental_ransac};
 /// E = t^ R, with t^ u = t × u.
 ///
 /// Points on the normalised planes of two cameras satisfy x₂ᵀ E x₁ = 0. Zero for a pure rotation,
-/// which constrains nothing.
+/// which gives no constraint.
 #[must_use]
 pub fn essential(second_from_first: &Se3) -> Matrix3<f64> {
     hat(&second_from_first.translation) * second_from_first.rotation.matrix()
@@ -59,7 +59,7 @@ fn inverse_intrinsics(camera: &Camera) -> Matrix3<f64> {
     )
 }
 
-/// What the three distances are made of: p₂ᵀ F p₁ and the normals of both epipolar lines.
+/// Parts of the three distances: p₂ᵀ F p₁ and the normals of both epipolar lines.
 struct Residual {
     algebraic: f64,
     /// (F p₁)₁,₂: normal of the line in view 2.
@@ -83,7 +83,7 @@ impl Residual {
     }
 }
 
-/// a / b, and 0 for 0 / 0: at the epipole every direction agrees.
+/// a / b, and 0 for 0 / 0: at the epipole every line passes through the point.
 fn ratio(a: f64, b: f64) -> f64 {
     if a == 0.0 { 0.0 } else { a / b }
 }
@@ -100,7 +100,8 @@ pub fn point_to_line_px(f: &Matrix3<f64>, uv1: &Vector2<f64>, uv2: &Vector2<f64>
     ]
 }
 
-/// The mean (d₁ + d₂)/2 of [`point_to_line_px`], pixels: the epipolar cue of the paper's unary.
+/// The mean (d₁ + d₂)/2 of [`point_to_line_px`], pixels: the cue δ of eq. 2, averaged over the
+/// observations of a point.
 #[must_use]
 pub fn symmetric_distance_px(f: &Matrix3<f64>, uv1: &Vector2<f64>, uv2: &Vector2<f64>) -> f64 {
     let [d1, d2] = point_to_line_px(f, uv1, uv2);
@@ -170,7 +171,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_epipole_agrees_with_everything() {
+    fn distances_at_the_epipole_are_zero() {
         // Forward motion: both epipoles at the principal point.
         let forward = Se3::new(So3::identity(), Vector3::z());
         let f = fundamental(&camera(), &camera(), &forward);
@@ -183,7 +184,7 @@ pub(crate) mod tests {
         let still = fundamental(&camera(), &camera(), &Se3::identity());
         assert!(
             sampson_px2(&still, &epipole, &anywhere).abs() < 1e-300,
-            "no motion, no line"
+            "no motion: no epipolar line"
         );
         let both = point_to_line_px(&still, &epipole, &anywhere);
         assert!(

@@ -1,25 +1,9 @@
-//! Mean and covariance of flow vectors, plain and in the presence of wrong ones.
+//! Mean and covariance of flow vectors (eq. 9), plain and in the presence of outliers.
 
+use garad_core::chi_square::chi2_2dof_quantile;
 use nalgebra::{Matrix2, Vector2};
 
-use super::FlowConfig;
-use super::model::chi2_2dof_quantile;
-
-/// How mean and covariance are found.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum FlowEstimator {
-    /// Sample mean and covariance with n - 1: the paper's eq. 9. One vector far off moves both.
-    #[default]
-    Moments,
-    /// Per axis the median, and the median absolute deviation as a standard deviation; the axes
-    /// count as uncorrelated. Bears nearly half of the vectors being wrong.
-    MedianMad,
-    /// The moments of the vectors that lie within 95 % of the Gaussian of
-    /// [`FlowEstimator::MedianMad`], the covariance enlarged by what a Gaussian with uncorrelated
-    /// axes loses by that cut. Bears as many wrong ones unless they are close by, and sees the
-    /// correlation.
-    Trimmed,
-}
+use super::config::{FlowConfig, FlowEstimator};
 
 /// 1/Φ⁻¹(3/4): the standard deviation of a Gaussian whose median absolute deviation is 1.
 const SIGMA_PER_MAD: f64 = 1.482_602_218_505_602;
@@ -27,12 +11,12 @@ const SIGMA_PER_MAD: f64 = 1.482_602_218_505_602;
 /// Share of a Gaussian that [`FlowEstimator::Trimmed`] keeps.
 const KEPT: f64 = 0.95;
 
-/// What an estimator finds; the floor is not in it.
+/// The result of an estimator, without the floor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Estimate {
     pub(super) mean: Vector2<f64>,
     pub(super) covariance: Matrix2<f64>,
-    /// Vectors that count.
+    /// Vectors used.
     pub(super) support: usize,
 }
 
@@ -45,26 +29,23 @@ pub(super) fn estimate(vectors: &[Vector2<f64>], config: &FlowConfig) -> Estimat
     }
 }
 
-/// μ = 1/n Σ Vₖ,   Σ = 1/(n-1) Σ (Vₖ - μ)(Vₖ - μ)ᵀ, in two passes.
+/// Eq. 9: Σ = 1/(n-1) Σ (Vₖ - μ)(Vₖ - μ)ᵀ with μ = 1/n Σ Vₖ, in two passes.
 fn moments(vectors: &[Vector2<f64>]) -> Estimate {
-    let n = vectors.len();
+    let n = vectors.len() as f64;
     let mut mean = Vector2::zeros();
     for v in vectors {
         mean += v;
     }
-    mean /= n as f64;
-    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+    mean /= n;
+    let mut covariance = Matrix2::zeros();
     for v in vectors {
         let d = v - mean;
-        xx += d.x * d.x;
-        xy += d.x * d.y;
-        yy += d.y * d.y;
+        covariance += d * d.transpose();
     }
-    let covariance = Matrix2::new(xx, xy, xy, yy) / (n as f64 - 1.0).max(1.0);
     Estimate {
         mean,
-        covariance,
-        support: n,
+        covariance: covariance / (n - 1.0).max(1.0),
+        support: vectors.len(),
     }
 }
 

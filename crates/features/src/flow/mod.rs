@@ -1,101 +1,37 @@
-//! Does a point move as the static scene does? The paper's check of flow (sec. III-B).
+//! The flow check of the paper (sec. III-B): does a point move as the static scene does?
 //!
-//! The flow vectors of points known to be static have a mean μ and a covariance Σ; a suspect whose
-//! own flow V lies within the ellipse
+//! The flow vectors of static points have a mean μ and a covariance Σ (eq. 9); a suspect whose own flow V
+//! lies within the ellipse (eq. 10)
 //!
-//! (V - μ)ᵀ Σ⁻¹ (V - μ) ≤ χ²   (2 degrees of freedom, 5 % outside: 5.991)
+//! (V - μ)ᵀ Σ⁻¹ (V - μ) ≤ χ²   (2 degrees of freedom)
 //!
-//! is static too. [`model`] fits μ and Σ and measures the distance; [`estimate`] holds what can
-//! stand in for the plain moments when some of the static points are not; this file applies the
-//! model to suspects.
+//! is static too. Reading order: [`config`] → [`estimate`] (μ and Σ; robust estimators for static points with
+//! outliers) → [`model`] (the distance) → [`verify_flow`], which applies the model to suspects.
 //!
-//! One Gaussian for the whole picture is a strong claim: it holds when all static points flow
-//! alike. When the camera turns about its axis, nears a wall, or sees near and far at once, the raw
-//! flow spreads, Σ with it, and nearly everything passes. [`FlowForm::Residual`] takes off what the
-//! camera's motion and the depth predict first, so that only errors of measurement are left.
+//! One Gaussian for the whole image assumes that all static points have the same flow. When the camera
+//! rolls, nears a wall, or sees near and far at once, the raw flow spreads, Σ grows, and nearly all
+//! suspects pass. [`FlowForm::Residual`] first subtracts the flow predicted from the
+//! camera's motion and the depth, so that only errors of measurement are left.
 
+pub mod config;
 pub mod estimate;
 pub mod model;
 
 use nalgebra::Vector2;
 
 use crate::error::FeatureError;
+use model::finite;
 
-pub use estimate::FlowEstimator;
-pub use model::{CHI2_2DOF_95, FlowFit, FlowModel, chi2_2dof_quantile, fit_flow};
-
-/// Which vectors the model is made of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum FlowForm {
-    /// The flow as measured: the paper's words.
-    #[default]
-    Raw,
-    /// The measured flow minus the predicted one. Points without a prediction take no part.
-    Residual,
-}
-
-/// How the check is made.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FlowConfig {
-    /// Raw or residual flow.
-    pub form: FlowForm,
-    /// How mean and covariance are found; the plain moments are the paper's eq. 9.
-    pub estimator: FlowEstimator,
-    /// Added to both variances, pixels². A camera at rest has flows that are all but equal: the
-    /// covariance would be that of rounding, and the least noise would be outside. 0 is the literal
-    /// eq. 9.
-    pub covariance_floor_px2: f64,
-    /// Fewer static points than this make no model; at least 3, as two lie on a line.
-    pub min_support: usize,
-    /// Largest squared distance that is inside.
-    pub chi2: f64,
-}
-
-impl Default for FlowConfig {
-    /// Raw flow and plain moments as in the paper; (0.5 px)² and 10 points are ours.
-    fn default() -> Self {
-        Self {
-            form: FlowForm::Raw,
-            estimator: FlowEstimator::Moments,
-            covariance_floor_px2: 0.25,
-            min_support: 10,
-            chi2: CHI2_2DOF_95,
-        }
-    }
-}
-
-impl FlowConfig {
-    /// # Errors
-    /// [`FeatureError::BadSetting`] with the first setting outside its range.
-    fn validate(&self) -> Result<(), FeatureError> {
-        let bad = |setting, value, expected| FeatureError::BadSetting {
-            setting,
-            value,
-            expected,
-        };
-        let floor = self.covariance_floor_px2;
-        if !(floor >= 0.0 && floor.is_finite()) {
-            let expected = "pixels squared, finite and not negative";
-            return Err(bad("covariance_floor_px2", floor, expected));
-        }
-        if self.min_support < 3 {
-            let got = self.min_support as f64;
-            return Err(bad("min_support", got, "at least 3 points"));
-        }
-        if !(self.chi2 > 0.0 && self.chi2.is_finite()) {
-            return Err(bad("chi2", self.chi2, "a positive number"));
-        }
-        Ok(())
-    }
-}
+pub use config::{FlowConfig, FlowEstimator, FlowForm};
+pub use model::{FlowFit, FlowModel, fit_flow};
 
 /// The flow of one point from frame i to frame j.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FlowPoint {
-    /// Where Lucas-Kanade found it, minus where it was, pixels.
+    /// Position found by Lucas-Kanade minus position before, pixels.
     pub flow: Vector2<f64>,
-    /// What the flow of a static point here would be, from the motion of the camera and the depth,
-    /// pixels; `None` without depth. Raw flow has no use for it.
+    /// Flow of a static point here, from the motion of the camera and the depth,
+    /// pixels; `None` without depth. Not used with raw flow.
     pub predicted: Option<Vector2<f64>>,
 }
 
@@ -109,7 +45,7 @@ impl FlowPoint {
         }
     }
 
-    /// The vector that is judged; `None` if the form needs a prediction and there is none.
+    /// The vector of the model; `None` if the form needs a prediction and there is none.
     fn vector(&self, form: FlowForm) -> Option<Vector2<f64>> {
         match form {
             FlowForm::Raw => Some(self.flow),
@@ -118,16 +54,16 @@ impl FlowPoint {
     }
 }
 
-/// What the check says of one suspect.
+/// The result for one suspect.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FlowVerdict {
-    /// It flows as static points do.
+    /// χ² is at most [`FlowConfig::chi2`]: static.
     pub inside: bool,
-    /// Squared Mahalanobis distance (paper eq. 10).
+    /// χ² of eq. 10.
     pub distance2: f64,
 }
 
-/// The model and what it says of the suspects.
+/// The model and the results of the suspects.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FlowVerification {
     /// The model, or why there is none.
@@ -136,14 +72,14 @@ pub struct FlowVerification {
     pub verdicts: Vec<Option<FlowVerdict>>,
 }
 
-/// Fits the flow of static points and judges suspects by it.
+/// Fits the flow of static points and compares suspects with it.
 ///
-/// μ = 1/n Σ Vₖ,   Σ = 1/(n-1) Σ (Vₖ - μ)(Vₖ - μ)ᵀ + floor I                  (paper eq. 9)
+/// μ = 1/n Σ Vₖ,   Σ = 1/(n-1) Σ (Vₖ - μ)(Vₖ - μ)ᵀ + floor I                  (eq. 9)
 ///
-/// χ² = (V - μ)ᵀ Σ⁻¹ (V - μ),   inside if χ² ≤ `chi2`                         (paper eq. 10)
+/// χ² = (V - μ)ᵀ Σ⁻¹ (V - μ),   inside if χ² ≤ `chi2`                         (eq. 10)
 ///
-/// Without a model (too few static points, or all on a line and no floor) nothing is decided and
-/// the labels stay what they were.
+/// Without a model (switched off, too few static points, or all on a line and no floor) nothing is
+/// decided and the labels stay as they were.
 ///
 /// Source: the paper, sec. III-B; the floor, the least support, the residual form and the robust
 /// estimators are ours. Spec test: `spec_flow_check`. Golden: `flow/*`.
@@ -158,7 +94,7 @@ pub struct FlowVerification {
 /// use garad_features::flow::{FlowConfig, FlowPoint, verify_flow};
 /// use nalgebra::Vector2;
 /// let point = |x, y| FlowPoint::raw(Vector2::new(x, y));
-/// let config = FlowConfig { covariance_floor_px2: 0.0, min_support: 4, ..FlowConfig::default() };
+/// let config = FlowConfig { min_support: 4, ..FlowConfig::as_printed() };
 /// // Mean (2, 0); squares 1 + 1 along x and 1 + 1 along y, over n - 1 = 3: covariance 2/3 I.
 /// let static_points = [point(1.0, 0.0), point(3.0, 0.0), point(2.0, 1.0), point(2.0, -1.0)];
 /// let checked = verify_flow(&static_points, &[point(2.0, 1.5), point(5.0, 0.0)], &config)?;
@@ -172,15 +108,21 @@ pub fn verify_flow(
     suspects: &[FlowPoint],
     config: &FlowConfig,
 ) -> Result<FlowVerification, FeatureError> {
+    if !config.enabled {
+        return Ok(FlowVerification {
+            fit: FlowFit::Disabled,
+            verdicts: vec![None; suspects.len()],
+        });
+    }
     let vectors: Vec<Vector2<f64>> = static_points
         .iter()
-        .filter_map(|point| point.vector(config.form))
+        .filter_map(|point| point.vector(config.model))
         .collect();
     let fit = fit_flow(&vectors, config)?;
     let verdicts = suspects
         .iter()
         .map(|suspect| {
-            let Some(vector) = suspect.vector(config.form) else {
+            let Some(vector) = suspect.vector(config.model) else {
                 return Ok(None);
             };
             finite(&vector)?;
@@ -193,14 +135,6 @@ pub fn verify_flow(
         })
         .collect::<Result<_, FeatureError>>()?;
     Ok(FlowVerification { fit, verdicts })
-}
-
-fn finite(vector: &Vector2<f64>) -> Result<(), FeatureError> {
-    if vector.x.is_finite() && vector.y.is_finite() {
-        return Ok(());
-    }
-    let reason = "a flow vector is not finite";
-    Err(FeatureError::Degenerate { reason })
 }
 
 #[cfg(test)]

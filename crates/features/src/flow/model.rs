@@ -2,32 +2,9 @@
 
 use nalgebra::{Matrix2, Vector2};
 
+use super::config::FlowConfig;
 use super::estimate::estimate;
-use super::{FlowConfig, finite};
 use crate::error::FeatureError;
-
-/// χ² that 5 % of static points exceed, 2 degrees of freedom, to the digits the field quotes;
-/// [`chi2_2dof_quantile`] has the others.
-pub const CHI2_2DOF_95: f64 = 5.991;
-
-/// The value that a χ² variable with 2 degrees of freedom stays below with probability `p`:
-///
-/// x = -2 ln(1 - p),   since P(χ² ≤ x) = 1 - exp(-x/2)
-///
-/// Infinite for 1, NaN outside [0, 1].
-///
-/// # Example
-/// ```
-/// let chi2 = garad_features::flow::chi2_2dof_quantile(0.95);
-/// assert!((chi2 - 5.991464547107979).abs() < 1e-14); // -2 ln 0.05
-/// ```
-#[must_use]
-pub fn chi2_2dof_quantile(p: f64) -> f64 {
-    if p < 0.0 {
-        return f64::NAN;
-    }
-    -2.0 * libm::log1p(-p)
-}
 
 /// A Gaussian over flow vectors.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,7 +13,7 @@ pub struct FlowModel {
     pub mean: Vector2<f64>,
     /// Σ with the floor in it, pixels².
     pub covariance: Matrix2<f64>,
-    /// Vectors that mean and covariance were made of: those given, less those trimmed.
+    /// Vectors in mean and covariance: those given, less those trimmed.
     pub support: usize,
     /// Σ = L Lᵀ: l₁₁, l₂₁, l₂₂.
     factor: [f64; 3],
@@ -47,15 +24,16 @@ pub struct FlowModel {
 pub enum FlowFit {
     /// There is one.
     Model(FlowModel),
-    /// Too few static points: nothing can be decided.
+    /// [`FlowConfig::enabled`] is off.
+    Disabled,
+    /// Too few static points.
     TooFew {
-        /// How many took part.
+        /// How many there are.
         got: usize,
         /// [`FlowConfig::min_support`].
         needed: usize,
     },
-    /// All flows are equal or lie on a line, and there is no floor (or their squares overflow):
-    /// nothing can be decided.
+    /// All flows are equal or lie on a line, and there is no floor (or their squares overflow).
     Singular,
 }
 
@@ -70,7 +48,7 @@ impl FlowFit {
     }
 }
 
-/// Below this share of its variance, what y has on its own is rounding of what it has with x.
+/// Below this share of the variance of y, its part that is uncorrelated with x is rounding.
 const ON_A_LINE: f64 = 1e-12;
 
 impl FlowModel {
@@ -90,13 +68,11 @@ impl FlowModel {
         })
     }
 
-    /// Squared Mahalanobis distance of a flow vector (paper eq. 10):
-    ///
-    /// χ² = (V - μ)ᵀ Σ⁻¹ (V - μ) = ‖L⁻¹ (V - μ)‖²,   Σ = L Lᵀ
+    /// Eq. 10: χ² = (V - μ)ᵀ Σ⁻¹ (V - μ) = ‖L⁻¹ (V - μ)‖², Σ = L Lᵀ, of a flow vector V.
     ///
     /// # Numerics
-    /// By substitution, never negative: an inverse through the determinant would lose the digits
-    /// that a thin ellipse has left.
+    /// By substitution, never negative: an inverse through the determinant would lose the remaining
+    /// digits of a thin ellipse.
     #[must_use]
     pub fn distance2(&self, flow: &Vector2<f64>) -> f64 {
         let d = flow - self.mean;
@@ -107,8 +83,7 @@ impl FlowModel {
     }
 }
 
-/// Mean and covariance of the vectors by the estimator of the settings, plus the floor
-/// (paper eq. 9).
+/// Mean and covariance of the vectors by the estimator of the settings, plus the floor.
 ///
 /// # Errors
 /// [`FeatureError::BadSetting`]; [`FeatureError::Degenerate`] when a vector is not finite.
@@ -129,4 +104,12 @@ pub fn fit_flow(vectors: &[Vector2<f64>], config: &FlowConfig) -> Result<FlowFit
     let covariance = found.covariance + Matrix2::identity() * config.covariance_floor_px2;
     let model = FlowModel::new(found.mean, covariance, found.support);
     Ok(model.map_or(FlowFit::Singular, FlowFit::Model))
+}
+
+pub(super) fn finite(vector: &Vector2<f64>) -> Result<(), FeatureError> {
+    if vector.x.is_finite() && vector.y.is_finite() {
+        return Ok(());
+    }
+    let reason = "a flow vector is not finite";
+    Err(FeatureError::Degenerate { reason })
 }

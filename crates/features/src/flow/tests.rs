@@ -1,15 +1,23 @@
-//! Tests of the check of flow: by hand, on both sides of each threshold, and as laws.
+//! Tests of the flow check: by hand, on both sides of each threshold, and as laws.
 
 use super::*;
 use garad_core::Rng;
+use garad_core::chi_square::CHI2_2DOF_95;
 use nalgebra::Matrix2;
 use proptest::prelude::*;
 
 fn literal() -> FlowConfig {
     FlowConfig {
-        covariance_floor_px2: 0.0,
         min_support: 3,
-        ..FlowConfig::default()
+        ..FlowConfig::as_printed()
+    }
+}
+
+/// Raw flow and plain moments with a floor of (0.5 px)².
+fn floored() -> FlowConfig {
+    FlowConfig {
+        covariance_floor_px2: 0.25,
+        ..FlowConfig::as_printed()
     }
 }
 
@@ -62,7 +70,7 @@ fn spec_flow_check() {
             let verdict = verdict.expect("there is a model");
             let error = (verdict.distance2 - expected).abs();
             assert!(error <= 1e-12 * expected, "{verdict:?} {expected}");
-            assert_eq!(verdict.inside, expected <= 5.991, "{expected}");
+            assert_eq!(verdict.inside, expected <= CHI2_2DOF_95, "{expected}");
             inside += usize::from(verdict.inside);
             outside += usize::from(!verdict.inside);
         }
@@ -74,7 +82,7 @@ fn spec_flow_check() {
 fn both_sides_of_the_threshold() {
     // Mean 0 and covariance 2/3 I: the edge is at sqrt(5.991 * 2/3).
     let static_points = points(&[[-1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]);
-    let edge = (5.991f64 * 2.0 / 3.0).sqrt();
+    let edge = (CHI2_2DOF_95 * 2.0 / 3.0).sqrt();
     let suspects = points(&[[edge - 1e-12, 0.0], [0.0, -edge - 1e-12]]);
     let found = verify_flow(&static_points, &suspects, &literal()).expect("finite");
     let inside = found.verdicts.iter().map(|v| v.expect("a model").inside);
@@ -93,9 +101,9 @@ fn both_sides_of_the_threshold() {
 }
 
 #[test]
-fn support_decides_whether_anything_is_said() {
+fn too_little_support_decides_nothing() {
     let flow = gaussian(10, [1.0, 2.0], [[0.3, 0.0], [0.0, 0.3]], 3);
-    let config = FlowConfig::default();
+    let config = floored();
     assert_eq!(model(&flow, &config).support, 10, "just enough");
     let few = FlowFit::TooFew { got: 9, needed: 10 };
     assert_eq!(fit_flow(&flow[..9], &config), Ok(few), "one less");
@@ -108,6 +116,14 @@ fn support_decides_whether_anything_is_said() {
         fit_flow(&[], &config).is_ok_and(|fit| fit.model().is_none()),
         "empty"
     );
+    let raw: Vec<_> = flow.iter().map(|v| FlowPoint::raw(*v)).collect();
+    let off = FlowConfig {
+        enabled: false,
+        ..config
+    };
+    let found = verify_flow(&raw, &raw[..2], &off).expect("finite");
+    let nothing = (FlowFit::Disabled, vec![None, None]);
+    assert_eq!((found.fit, found.verdicts), nothing, "switched off");
 }
 
 /// A camera at rest: all flows are 0, and only the floor makes a model of them.
@@ -132,13 +148,13 @@ fn equal_flows_need_the_floor() {
     ] {
         let config = FlowConfig {
             estimator,
-            ..FlowConfig::default()
+            ..floored()
         };
         let still = model(&still, &config);
         // (0.5 px)²: 1.2 px is 5.76, 1.25 px is 6.25.
         let distance2 = [1.2, 1.25].map(|x| still.distance2(&Vector2::new(x, 0.0)));
         assert!(
-            distance2[0] < 5.991 && distance2[1] > 5.991,
+            distance2[0] < CHI2_2DOF_95 && distance2[1] > CHI2_2DOF_95,
             "{estimator:?}: {distance2:?}"
         );
     }
@@ -160,11 +176,8 @@ fn residual_form_sees_what_raw_flow_hides() {
     };
     let static_points: Vec<_> = (0..200).map(|_| rolled(Vector2::zeros())).collect();
     let walker: Vec<_> = (0..20).map(|_| rolled(Vector2::new(4.0, 0.5))).collect();
-    let inside = |form| {
-        let config = FlowConfig {
-            form,
-            ..FlowConfig::default()
-        };
+    let inside = |model| {
+        let config = FlowConfig { model, ..floored() };
         let found = verify_flow(&static_points, &walker, &config).expect("finite");
         let verdicts = found.verdicts.iter();
         verdicts.filter(|v| v.expect("a model").inside).count()
@@ -178,10 +191,10 @@ fn residual_form_sees_what_raw_flow_hides() {
 }
 
 #[test]
-fn points_without_prediction_take_no_part_in_the_residual_form() {
+fn points_without_prediction_are_left_out_of_the_residual_form() {
     let config = FlowConfig {
-        form: FlowForm::Residual,
-        ..FlowConfig::default()
+        model: FlowForm::Residual,
+        ..floored()
     };
     let with = |x: f64| FlowPoint {
         flow: Vector2::new(x, 0.1 * x * x),
@@ -190,7 +203,7 @@ fn points_without_prediction_take_no_part_in_the_residual_form() {
     let mut static_points: Vec<_> = (0..10).map(|k| with(f64::from(k))).collect();
     let before = verify_flow(&static_points, &[with(3.0)], &config).expect("finite");
     static_points.push(FlowPoint::raw(Vector2::new(900.0, 0.0)));
-    // Not looked at, so it may be anything.
+    // Not used, so it may be anything.
     static_points.push(FlowPoint::raw(Vector2::new(f64::NAN, 0.0)));
     let suspects = [with(3.0), FlowPoint::raw(Vector2::zeros())];
     let after = verify_flow(&static_points, &suspects, &config).expect("finite");
@@ -273,17 +286,8 @@ fn trimming_does_not_shrink_a_gaussian() {
 }
 
 #[test]
-fn quantiles() {
-    assert!(
-        (chi2_2dof_quantile(0.95) - CHI2_2DOF_95).abs() < 5e-4,
-        "as the field rounds it"
-    );
-    assert!(chi2_2dof_quantile(0.0).abs() < 1e-300, "nothing is below 0");
-    assert!(chi2_2dof_quantile(1.0) == f64::INFINITY, "everything");
-    for outside in [-0.1, 1.1, f64::NAN] {
-        assert!(chi2_2dof_quantile(outside).is_nan(), "{outside}");
-    }
-    // 5 % of static points are rejected, whatever the shape of the ellipse.
+fn five_percent_of_static_points_are_outside() {
+    // Whatever the shape of the ellipse.
     let flow = gaussian(40_000, [5.0, -2.0], [[2.0, 0.4], [0.1, 0.2]], 8);
     let fitted = model(&flow, &literal());
     let outside = flow
@@ -295,7 +299,7 @@ fn quantiles() {
 
 #[test]
 fn bad_settings_and_bad_numbers_are_errors() {
-    let good = FlowConfig::default();
+    let good = floored();
     let bad = [
         (
             FlowConfig {

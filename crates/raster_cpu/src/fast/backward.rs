@@ -1,18 +1,19 @@
-//! One tile on the way back, eight pixels at a time (R13, R14), and the sums of its splats.
+//! The backward pass of one tile, eight pixels at a time (R13, R14), and the sums of its splats.
 
 use garad_core::Real;
 use wide::bytemuck::cast;
 use wide::{f32x4, f32x8, i32x4};
 
-use super::forward::{BLOCKS, Seen};
+use super::forward::{BLOCKS, LocalSplat};
 use super::lanes::sums;
 use super::splat::Splat;
-use crate::backward::ClampGradient;
-use crate::composite::{MAX_ALPHA, MIN_ALPHA, SplatSums};
+use crate::composite::{MAX_ALPHA, MIN_ALPHA};
+use crate::options::ClampGradient;
+use crate::splat_gradient::SplatSums;
 
-/// Gradients from above are not multiplied by zeros beyond this size, lest 0 · ∞ reach splats
-/// that the pixel has not met.
-const CALM: f32 = 1e15;
+/// Upstream gradients beyond this size are masked and not multiplied by zero, lest 0 · ∞ reach
+/// splats that the pixel did not blend.
+const LARGE: f32 = 1e15;
 
 /// [`SplatSums`] in three vectors: (g, r, y, rr), (ry, yy, red, green), (blue, depth, 0, 0).
 #[derive(Debug, Clone, Copy, Default)]
@@ -27,14 +28,14 @@ impl Sums {
         }
     }
 
-    /// No pixel has met the splat.
+    /// The splat was blended into no pixel.
     pub(crate) fn are_zero(&self) -> bool {
         self.0
             .iter()
             .all(|v| v.to_array().iter().all(|v| v.abs() <= 0.0))
     }
 
-    /// Named.
+    /// With names.
     pub(crate) fn named(&self) -> SplatSums<f32> {
         let [[g, r, y, rr], [ry, yy, red, green], [blue, depth, ..]] = self.0.map(|v| v.to_array());
         SplatSums {
@@ -50,7 +51,7 @@ impl Sums {
     }
 }
 
-/// Eight pixels on the way back: [`crate::composite::PixelBackward`], field by field.
+/// Eight pixels: [`crate::composite::PixelGradient`], field by field, as the backward pass moves on.
 #[derive(Debug, Clone, Copy)]
 struct Block {
     d_color: [f32x8; 3],
@@ -62,7 +63,7 @@ struct Block {
 }
 
 impl Block {
-    /// No splat has been met.
+    /// No splat was blended.
     const EMPTY: Self = Self {
         d_color: [f32x8::ZERO; 3],
         d_depth: f32x8::ZERO,
@@ -72,17 +73,17 @@ impl Block {
     };
 }
 
-/// The pixels of a tile on the way back.
+/// The pixels of a tile in the backward pass.
 #[derive(Debug)]
 pub(crate) struct TileBackward {
     blocks: [Block; BLOCKS],
     /// The largest [`Block::last`] per block.
     deepest: [u32; BLOCKS],
-    /// No gradient from above is large or no number.
-    calm: bool,
+    /// No upstream gradient is large or NaN.
+    bounded: bool,
 }
 
-/// Rows of pictures that a tile starts from.
+/// Rows of images that a tile starts from.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rows<'a> {
     pub(crate) d_color: &'a [[f32; 3]],
@@ -138,13 +139,13 @@ fn four<A: Copy + Default>(row: &[A]) -> [A; 4] {
 
 impl TileBackward {
     /// Takes the pixels of the tile from up to 16 rows, whose slices begin at the tile's first
-    /// column; pixels they do not have have met no splat. What each starts with:
-    /// [`crate::backward::pixel`].
+    /// column; pixels they do not have blended no splat. What each starts from is computed as by the
+    /// reference, [`crate::backward()`].
     pub(crate) fn new(rows: &[Rows]) -> Self {
         let mut tile = Self {
             blocks: [Block::EMPTY; BLOCKS],
             deepest: [0; BLOCKS],
-            calm: true,
+            bounded: true,
         };
         let mut size = f32x8::ZERO;
         for (pair, rows) in rows.chunks(2).enumerate() {
@@ -167,17 +168,16 @@ impl TileBackward {
                 }
             }
         }
-        tile.calm = size.to_array().iter().all(|&size| size < CALM);
+        tile.bounded = size.to_array().iter().all(|&size| size < LARGE);
         tile
     }
 
-    /// The way back through [`super::forward::TilePixels::composite`]: hands the number of each
-    /// entry of `list` that any pixel has met, with its sums over the tile's pixels, to `put`,
-    /// last entry first.
+    /// Backward pass of [`super::forward::TilePixels::composite`]: hands the number of each entry
+    /// that any pixel blended, with its sums over the tile's pixels, to `put`, last entry first.
     ///
     /// Each lane sums its own pixels in the order of blocks; eight lanes become one by
     /// [`sums`].
-    pub(crate) fn take_back<'a>(
+    pub(crate) fn accumulate<'a>(
         self,
         entries: usize,
         splat_of: impl Fn(usize) -> &'a Splat,
@@ -185,7 +185,7 @@ impl TileBackward {
         clamp: ClampGradient,
         put: impl FnMut(usize, &Sums),
     ) {
-        match (self.calm, clamp) {
+        match (self.bounded, clamp) {
             (true, ClampGradient::True) => {
                 self.walk::<true, true>(entries, splat_of, corner, put);
             }
@@ -201,17 +201,17 @@ impl TileBackward {
         }
     }
 
-    fn walk<'a, const CALM: bool, const CLAMP: bool>(
+    fn walk<'a, const BOUNDED: bool, const CLAMP: bool>(
         mut self,
         entries: usize,
         splat_of: impl Fn(usize) -> &'a Splat,
         corner: [f32; 2],
         mut put: impl FnMut(usize, &Sums),
     ) {
-        // A pixel that does not take has weight 0; what is not calm is masked once more.
-        let only = |mask: f32x8, value: f32x8| if CALM { value } else { mask & value };
+        // A pixel that does not take has weight 0; where gradients are not bounded, it is masked once more.
+        let only = |mask: f32x8, value: f32x8| if BOUNDED { value } else { mask & value };
         let [min_alpha, max_alpha] = [MIN_ALPHA, MAX_ALPHA].map(|v| f32x8::splat(f32::from_f64(v)));
-        // Blocks ordered by where their way back begins; those that have begun.
+        // Blocks ordered by the entry at which they begin; those that have begun.
         let mut waiting = [(0, 0); BLOCKS];
         for (i, waiting) in waiting.iter_mut().enumerate() {
             *waiting = (self.deepest[i] as usize, 1u32 << i);
@@ -229,7 +229,7 @@ impl TileBackward {
             if reach == 0 {
                 continue;
             }
-            let seen = Seen::new(splat, corner);
+            let local = LocalSplat::new(splat, corner);
             let rank = f32x8::splat(entry as f32);
             let color = splat.color.map(f32x8::splat);
             let depth = f32x8::splat(splat.depth_m);
@@ -238,7 +238,7 @@ impl TileBackward {
                 let i = reach.trailing_zeros() as usize % BLOCKS;
                 reach &= reach - 1;
                 let block = &mut self.blocks[i];
-                let (density, r, dy) = seen.density(i);
+                let (density, r, dy) = local.density(i);
                 let alpha = max_alpha.fast_min(density);
                 let take = alpha.simd_ge(min_alpha) & block.last.simd_gt(rank);
                 let alpha = alpha & take;

@@ -1,4 +1,4 @@
-//! Order in depth, and which splats each row of tiles has to look at.
+//! Order in depth, and the splats of each row of tiles.
 
 use super::splat::Splat;
 
@@ -84,7 +84,8 @@ impl Bands {
     /// `values`, one per entry, as a slice for each band.
     pub(crate) fn cut<'a, A>(&self, mut values: &'a mut [A]) -> Vec<&'a mut [A]> {
         let lengths = self.starts.windows(2).map(|w| w[1] - w[0]);
-        lengths.filter_map(|n| values.split_off_mut(..n)).collect()
+        let mut band = |n| values.split_off_mut(..n).expect("one value per entry");
+        lengths.map(&mut band).collect()
     }
 
     /// Number of bands.

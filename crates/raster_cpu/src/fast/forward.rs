@@ -11,8 +11,8 @@ use crate::composite::{MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
 /// Blocks of 4 x 2 pixels in a tile: fewer of them than of rows of eight are cut by an ellipse.
 pub(crate) const BLOCKS: usize = 32;
 
-/// Splats between two looks for blocks that are finished.
-const PATIENCE: usize = 16;
+/// Splats between two searches for finished blocks.
+const SPLATS_PER_CHECK: usize = 16;
 
 /// Column and row of block i's first pixel: blocks run down the tile's first four columns, then
 /// the next four.
@@ -59,9 +59,9 @@ pub(crate) struct TilePixels {
     pub(crate) blocks: [Block; BLOCKS],
 }
 
-/// A splat as the pixels of one tile see it.
+/// A splat relative to one tile.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Seen {
+pub(crate) struct LocalSplat {
     mean: [f32x8; 2],
     pub(crate) shear: f32x8,
     along: f32x8,
@@ -69,7 +69,7 @@ pub(crate) struct Seen {
     opacity: f32x8,
 }
 
-impl Seen {
+impl LocalSplat {
     /// From the tile at (`x`, `y`).
     #[inline(always)]
     pub(crate) fn new(splat: &Splat, [x, y]: [f32; 2]) -> Self {
@@ -82,7 +82,7 @@ impl Seen {
         }
     }
 
-    /// In block i: opacity e^power, what [`crate::composite`] calls density, with r = dx + (b/a) dy
+    /// In block i: opacity e^power, the density of [`crate::composite`], with r = dx + (b/a) dy
     /// and dy.
     #[inline(always)]
     pub(crate) fn density(&self, i: usize) -> (f32x8, f32x8, f32x8) {
@@ -95,7 +95,7 @@ impl Seen {
 }
 
 impl TilePixels {
-    /// Nothing has arrived yet; pixels beyond `width` x `height` are finished.
+    /// No splat blended yet; pixels beyond `width` x `height` are finished.
     fn new(width: usize, height: usize) -> Self {
         let empty = Block {
             transmittance: f32x8::ONE,
@@ -134,7 +134,7 @@ impl TilePixels {
         let sign = f32x8::splat(-0.0);
         let mut rank = f32x8::ZERO;
         for (entry, splat) in list.enumerate() {
-            if entry % PATIENCE == 0 {
+            if entry % SPLATS_PER_CHECK == 0 {
                 open = pixels.open();
                 if open == 0 {
                     break;
@@ -145,14 +145,14 @@ impl TilePixels {
             if reach == 0 {
                 continue;
             }
-            let seen = Seen::new(splat, corner);
+            let local = LocalSplat::new(splat, corner);
             let color = splat.color.map(f32x8::splat);
             let depth = f32x8::splat(splat.depth_m);
             while reach != 0 {
                 let i = reach.trailing_zeros() as usize % BLOCKS;
                 reach &= reach - 1;
                 let block = &mut pixels.blocks[i];
-                let (density, ..) = seen.density(i);
+                let (density, ..) = local.density(i);
                 let alpha = max_alpha.fast_min(density);
                 let visible = alpha.simd_ge(min_alpha);
                 let t = block.transmittance;

@@ -1,15 +1,19 @@
 //! From the sums of each row of tiles to the gradients of each Gaussian.
 
+use std::slice::ChunksMut;
+
 use garad_core::{GaussianMap, Par};
 
 use super::backward::Sums;
 use super::bin::Bands;
 use super::splat::Splat;
-use crate::backward::{ClampGradient, Gradients};
-use crate::composite::SplatGradient;
+use crate::backward::Gradients;
 use crate::covariance::rotation;
 use crate::error::RasterError;
-use crate::project::{Projected, project_one_backward};
+use crate::options::ClampGradient;
+use crate::project::project_one_backward;
+use crate::splat::Projected;
+use crate::splat_gradient::SplatGradient;
 use crate::view::View;
 
 /// Splats or Gaussians of one task.
@@ -55,7 +59,7 @@ struct Rows<'a> {
     opacities: &'a mut [f32],
     colors: &'a mut [[f32; 3]],
     depths: &'a mut [f32],
-    /// Their share of the pose's gradient.
+    /// Their term of the pose's gradient.
     pose: [f64; 6],
     /// First splat that the map cannot have made.
     bad: Option<usize>,
@@ -75,8 +79,8 @@ pub(crate) fn to_map(
     clamp: ClampGradient,
     par: Par,
 ) -> Result<Gradients<f32>, RasterError> {
-    const NOBODY: u32 = u32::MAX;
-    let mut splat_of = vec![NOBODY; map.len()];
+    const NONE: u32 = u32::MAX;
+    let mut splat_of = vec![NONE; map.len()];
     for (splat, position) in projected.iter().zip(0u32..) {
         splat_of[splat.index as usize] = position;
     }
@@ -84,16 +88,16 @@ pub(crate) fn to_map(
     let mut runs = Rows::cut(&mut gradients, map.coefficients());
     par.for_each_chunk_mut(&mut runs, 1, |_, runs| {
         for run in runs {
-            let mut met = Vec::with_capacity(BATCH);
+            let mut batch = Vec::with_capacity(BATCH);
             for first in (0..run.means.len()).step_by(BATCH) {
                 // Copied first, in a loop that waits for many splats at a time.
                 let rows = first..(first + BATCH).min(run.means.len());
-                met.extend(rows.filter_map(|k| {
+                batch.extend(rows.filter_map(|k| {
                     let at = splat_of[run.first + k];
-                    (at != NOBODY).then(|| (k, at, projected[at as usize], sums[at as usize]))
+                    (at != NONE).then(|| (k, at, projected[at as usize], sums[at as usize]))
                 }));
-                for (k, at, splat, sums) in met.drain(..) {
-                    run.put(k, map, view, (at as usize, &splat), &sums, clamp);
+                for (k, at, splat, sums) in batch.drain(..) {
+                    run.write(k, map, view, (at as usize, &splat), &sums, clamp);
                 }
             }
         }
@@ -117,6 +121,9 @@ pub(crate) fn to_map(
 
 impl<'a> Rows<'a> {
     fn cut(gradients: &'a mut Gradients<f32>, coefficients: usize) -> Vec<Self> {
+        fn next<'b, A>(rows: &mut ChunksMut<'b, A>) -> &'b mut [A] {
+            rows.next().expect("as many rows as means")
+        }
         let mut log_scales = gradients.log_scales.chunks_mut(CHUNK);
         let mut quaternions = gradients.quaternions.chunks_mut(CHUNK);
         let mut opacity_logits = gradients.opacity_logits.chunks_mut(CHUNK);
@@ -127,29 +134,26 @@ impl<'a> Rows<'a> {
         let mut colors = gradients.colors.chunks_mut(CHUNK);
         let mut depths = gradients.depths.chunks_mut(CHUNK);
         let means = gradients.means.chunks_mut(CHUNK).enumerate();
-        means
-            .filter_map(|(i, means)| {
-                Some(Self {
-                    first: i * CHUNK,
-                    means,
-                    log_scales: log_scales.next()?,
-                    quaternions: quaternions.next()?,
-                    opacity_logits: opacity_logits.next()?,
-                    sh: sh.next()?,
-                    means2d: means2d.next()?,
-                    conics: conics.next()?,
-                    opacities: opacities.next()?,
-                    colors: colors.next()?,
-                    depths: depths.next()?,
-                    pose: [0.0; 6],
-                    bad: None,
-                })
-            })
-            .collect()
+        let runs = means.map(|(i, means)| Self {
+            first: i * CHUNK,
+            means,
+            log_scales: next(&mut log_scales),
+            quaternions: next(&mut quaternions),
+            opacity_logits: next(&mut opacity_logits),
+            sh: next(&mut sh),
+            means2d: next(&mut means2d),
+            conics: next(&mut conics),
+            opacities: next(&mut opacities),
+            colors: next(&mut colors),
+            depths: next(&mut depths),
+            pose: [0.0; 6],
+            bad: None,
+        });
+        runs.collect()
     }
 
-    /// The way back of one splat, into row `k` of the run.
-    fn put(
+    /// Backward pass of one splat, into row `k` of the run.
+    fn write(
         &mut self,
         k: usize,
         map: &GaussianMap<f32>,
@@ -159,7 +163,7 @@ impl<'a> Rows<'a> {
         clamp: ClampGradient,
     ) {
         let row = if sums.are_zero() {
-            // No pixel has met it, and the row is zero already.
+            // Blended into no pixel: the row is zero already.
             rotation(map.quaternions[splat.index as usize]).map(|_| None)
         } else {
             let d = SplatGradient::new(splat, &sums.named());
@@ -177,7 +181,7 @@ impl<'a> Rows<'a> {
         self.log_scales[k] = row.log_scale;
         self.quaternions[k] = row.quaternion;
         self.opacity_logits[k] = row.opacity_logit;
-        row.put_sh(&mut self.sh[k * n..(k + 1) * n]);
+        row.write_sh(&mut self.sh[k * n..(k + 1) * n]);
         self.means2d[k] = d.mean_px;
         self.conics[k] = d.conic;
         self.opacities[k] = d.opacity;

@@ -3,7 +3,8 @@
 use garad_core::{Par, Real};
 use wide::f32x8;
 
-use crate::project::{FOOTPRINT_CELL_PX, Projected};
+use crate::project::FOOTPRINT_CELL_PX;
+use crate::splat::Projected;
 
 /// Splats prepared by one task.
 const CHUNK: usize = 2048;
@@ -36,7 +37,7 @@ pub(crate) struct Splat {
 
 impl Splat {
     pub(crate) fn new(splat: &Projected<f32>) -> Self {
-        // Numbers that bound the work and not the picture: 1 % and a tenth of a pixel are far
+        // Bounds of the work and not of the image: 1 % and a tenth of a pixel are far
         // more than rounding can move.
         let k = 2.02 * Real::ln(255.0 * splat.opacity) + 0.02;
         let half = |axis: usize| {
@@ -47,8 +48,7 @@ impl Splat {
             }
         };
         let f = &splat.footprint;
-        // The picture's largest side keeps these below 1025.
-        let cell = |cells: usize| u16::try_from(cells).unwrap_or(u16::MAX);
+        let cell = |cells: usize| u16::try_from(cells).expect("at most 1024 cells per side");
         Self {
             mean_px: splat.mean_px,
             shear: splat.shear,
@@ -72,7 +72,9 @@ impl Splat {
     /// The blocks of the 16 x 16 pixels at (`x`, `y`) in which alpha may reach 1/255: bit 8 q + r
     /// for the block of columns 4 q to 4 q + 3 and rows 2 r and 2 r + 1.
     ///
-    /// R12 solved for the columns of each row. A block that is left out would have failed the
+    /// alpha ≥ 1/255 ⟺ a (dx + (b/a) dy)² + dy²/Σ'yy ≤ k,  k = 2 ln(255 opacity)            (R12)
+    ///
+    /// solved for the columns of each row. A block that is left out would have failed the
     /// test against 1/255 in every pixel, so this changes the time and nothing else.
     #[inline(always)]
     pub(crate) fn reach(&self, [x, y]: [f32; 2]) -> u32 {

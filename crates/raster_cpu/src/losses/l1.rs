@@ -2,10 +2,10 @@
 
 use garad_core::{Image, MaskImage, Real};
 
-use super::{PictureLoss, check_sizes, count, judged};
+use super::image_loss::{ImageLoss, check_sizes, count_included, included};
 use crate::error::RasterError;
 
-/// Mean over judged pixels and channels of |x - y| and its gradient by x (O1):
+/// Mean over included pixels and channels of |x - y| and its gradient by x (O1):
 ///
 /// L1 = Σ |x - y| / 3n,   ∂L1/∂x = sign(x - y) / 3n,   0 where x = y
 ///
@@ -28,30 +28,30 @@ pub fn l1<T: Real>(
     rendered: &Image<[T; 3]>,
     target: &Image<[T; 3]>,
     excluded: Option<&MaskImage>,
-) -> Result<PictureLoss<T>, RasterError> {
+) -> Result<ImageLoss<T>, RasterError> {
     check_sizes(rendered.size(), &[("target", target.size())], excluded)?;
-    let pixels = count(excluded, rendered.data().len());
-    // Where nothing is judged the sum is 0, whatever it is divided by.
+    let pixels = count_included(excluded, rendered.data().len());
+    // Where no pixel is included the sum is 0, whatever it is divided by.
     let terms = 3.0 * pixels.max(1) as f64;
-    let pull = T::from_f64(1.0 / terms);
+    let slope = T::from_f64(1.0 / terms);
     let (width, height) = rendered.size();
     let mut gradient = Image::new(width, height, [T::ZERO; 3]);
     let mut sum = 0.0;
     for (i, out) in gradient.data_mut().iter_mut().enumerate() {
-        if !judged(excluded, i) {
+        if !included(excluded, i) {
             continue;
         }
         for channel in 0..3 {
             let difference = rendered.data()[i][channel] - target.data()[i][channel];
             sum += difference.abs().to_f64();
             if difference > T::ZERO {
-                out[channel] = pull;
+                out[channel] = slope;
             } else if difference < T::ZERO {
-                out[channel] = -pull;
+                out[channel] = -slope;
             }
         }
     }
-    Ok(PictureLoss {
+    Ok(ImageLoss {
         value: T::from_f64(sum / terms),
         gradient,
         pixels,

@@ -1,9 +1,9 @@
-//! [`opacity_penalty`]: what fades moving things out of the map.
+//! [`opacity_penalty`]: lowers the opacity of dynamic Gaussians.
 
 use garad_core::{Label, Real};
 
 use crate::error::RasterError;
-use crate::project::sigmoid;
+use crate::scalar::sigmoid;
 
 /// A number and its gradient by the opacity logits.
 #[derive(Debug, Clone, PartialEq)]
@@ -14,14 +14,14 @@ pub struct OpacityPenalty<T> {
     pub opacity_logits: Vec<T>,
 }
 
-/// L_dyn = Σ opacityᵢ² over the Gaussians labelled dynamic (O5):
+/// The penalty on dynamic Gaussians, a term of Eq. 12, and its gradient (O5).
 ///
-/// ∂L_dyn/∂oᵢ = 2 σ(oᵢ)² (1 - σ(oᵢ))
+/// L_dyn = Σ αᵢ² over the Gaussians labelled dynamic,  ∂L_dyn/∂oᵢ = 2 αᵢ² (1 - αᵢ)
 ///
-/// Source: paper eq. 12 (where opacity is called α). Golden: `losses/opacity_*`.
+/// with the opacity αᵢ = σ(oᵢ) of the logit oᵢ. Golden: `losses/opacity_*`.
 ///
 /// # Numerics
-/// 1 - σ(o) as σ(-o), exact for large logits; the value is summed in f64 in map order.
+/// 1 - α as σ(-o), exact for large logits; the value is summed in f64 in map order.
 /// # Errors
 /// [`RasterError::MapLength`].
 /// # Example
@@ -44,17 +44,16 @@ pub fn opacity_penalty<T: Real>(
         });
     }
     let mut sum = 0.0;
-    let gradient = opacity_logits.iter().zip(labels).map(|(&logit, label)| {
-        if *label != Label::Dynamic {
-            return T::ZERO;
+    let mut gradient = vec![T::ZERO; labels.len()];
+    for (i, &logit) in opacity_logits.iter().enumerate() {
+        if labels[i] == Label::Dynamic {
+            let opacity = sigmoid(logit);
+            sum += (opacity * opacity).to_f64();
+            gradient[i] = T::from_f64(2.0) * opacity * opacity * sigmoid(-logit);
         }
-        let opacity = sigmoid(logit);
-        sum += (opacity * opacity).to_f64();
-        T::from_f64(2.0) * opacity * opacity * sigmoid(-logit)
-    });
-    let opacity_logits = gradient.collect();
+    }
     Ok(OpacityPenalty {
         value: T::from_f64(sum),
-        opacity_logits,
+        opacity_logits: gradient,
     })
 }

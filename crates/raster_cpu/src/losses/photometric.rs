@@ -1,14 +1,16 @@
-//! [`photometric()`]: the picture's part of the training loss.
+//! [`photometric()`]: the training loss of an image.
 
 use garad_core::{Image, MaskImage, Par, Real};
 
+use super::image_loss::{ImageLoss, check_lambda, check_sizes};
 use super::sweep::sweep;
-use super::{PictureLoss, check_lambda, check_sizes};
 use crate::error::RasterError;
 
-/// (1 - λ) L1 + λ (1 - SSIM) and its gradient (O3).
+/// The photometric loss of a rendered image and its gradient.
 ///
-/// Source: paper eq. 13, with λ = 0.2 as in 3D Gaussian Splatting.
+/// L_p-ssim = (1 - λ) |I_r - I_gt| + λ (1 - SSIM(I_r, I_gt))                            (Eq. 13, O3)
+///
+/// Source: the paper, with λ = 0.2 as in 3D Gaussian Splatting; |·| is the mean of [`super::l1()`].
 /// Plain form: [`super::reference::photometric`]. Golden: `losses/photometric_*`.
 ///
 /// # Shapes and units
@@ -25,18 +27,19 @@ pub fn photometric<T: Real>(
     lambda: f64,
     excluded: Option<&MaskImage>,
     par: Par,
-) -> Result<PictureLoss<T>, RasterError> {
+) -> Result<ImageLoss<T>, RasterError> {
     check_lambda(lambda)?;
     check_sizes(rendered.size(), &[("target", target.size())], excluded)?;
     let swept = sweep(rendered, target, excluded, [1.0 - lambda, -lambda], par);
-    // Where nothing is judged SSIM is 0 for want of pixels, not of likeness.
-    let unlike = if swept.pixels == 0 {
-        0.0
+    let absolute = swept.absolute;
+    // Without pixels the loss is 0.
+    let ssim = if swept.pixels == 0 {
+        1.0
     } else {
-        1.0 - swept.structure
+        swept.structure
     };
-    Ok(PictureLoss {
-        value: T::from_f64((1.0 - lambda) * swept.absolute + lambda * unlike),
+    Ok(ImageLoss {
+        value: T::from_f64((1.0 - lambda) * absolute + lambda * (1.0 - ssim)),
         gradient: swept.gradient,
         pixels: swept.pixels,
     })

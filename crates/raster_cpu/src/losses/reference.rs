@@ -1,11 +1,12 @@
-//! [`ssim`] and [`photometric`] as plain sequences of pictures, in the order of the formulas: what
-//! the functions of the same names one level up are held to.
+//! [`ssim`] and [`photometric`] as plain sequences of images, in the order of the formulas: what
+//! the functions of the same names one level up are compared with.
 //!
 //! Formulas, shapes, units and errors are written there.
 
 use garad_core::{Image, MaskImage, Par, Real};
 
-use super::{PictureLoss, check_lambda, check_sizes, count, judged, l1};
+use super::image_loss::{ImageLoss, check_lambda, check_sizes, count_included, included};
+use super::l1::l1;
 use crate::error::RasterError;
 
 pub(super) const RADIUS: usize = 5;
@@ -16,7 +17,7 @@ pub(super) const C1: f64 = 1e-4;
 /// (0.03 · 1)²: the same for the variances, where nothing varies.
 pub(super) const C2: f64 = 9e-4;
 
-/// As [`super::ssim()`], one channel after the other, one picture per term.
+/// As [`super::ssim()`], one channel after the other, one image per term.
 ///
 /// # Numerics
 /// Separable, in `T`: rows, then columns, taps in their order. Same bits for every `par`.
@@ -27,9 +28,9 @@ pub fn ssim<T: Real>(
     target: &Image<[T; 3]>,
     excluded: Option<&MaskImage>,
     par: Par,
-) -> Result<PictureLoss<T>, RasterError> {
+) -> Result<ImageLoss<T>, RasterError> {
     check_sizes(rendered.size(), &[("target", target.size())], excluded)?;
-    let pixels = count(excluded, rendered.data().len());
+    let pixels = count_included(excluded, rendered.data().len());
     let terms = 3.0 * pixels.max(1) as f64;
     let channels = par.map(3, |channel| {
         one_channel(
@@ -41,7 +42,7 @@ pub fn ssim<T: Real>(
         )
     });
     let (width, height) = rendered.size();
-    Ok(PictureLoss {
+    Ok(ImageLoss {
         value: T::from_f64(channels.iter().fold(0.0, |sum, c| sum + c.0) / terms),
         gradient: Image::from_fn(width, height, |x, y| {
             [0, 1, 2].map(|channel| channels[channel].1[(x, y)])
@@ -50,7 +51,7 @@ pub fn ssim<T: Real>(
     })
 }
 
-/// Σ S over judged pixels, and `share` times its gradient.
+/// Σ S over included pixels, and `share` times its gradient.
 fn one_channel<T: Real>(
     channel: usize,
     rendered: &Image<[T; 3]>,
@@ -62,7 +63,7 @@ fn one_channel<T: Real>(
     let two = T::from_f64(2.0);
     let pair = |i: usize| {
         let y = target.data()[i][channel];
-        let x = if judged(excluded, i) {
+        let x = if included(excluded, i) {
             rendered.data()[i][channel]
         } else {
             y
@@ -77,7 +78,7 @@ fn one_channel<T: Real>(
     let (mut sum, mut i) = (0.0, 0);
     let slopes = blurred(&moments).map(|moments| {
         i += 1;
-        if !judged(excluded, i - 1) {
+        if !included(excluded, i - 1) {
             return [T::ZERO; 3];
         }
         let (s, slopes) = similarity(*moments);
@@ -87,7 +88,7 @@ fn one_channel<T: Real>(
     let slopes = blurred(&slopes);
     let gradient = Image::from_fn(width, height, |u, v| {
         let i = v * width + u;
-        if !judged(excluded, i) {
+        if !included(excluded, i) {
             return T::ZERO;
         }
         let (x, y) = pair(i);
@@ -97,7 +98,7 @@ fn one_channel<T: Real>(
     (sum, gradient)
 }
 
-/// As [`super::photometric()`], from [`l1()`] and [`ssim`].
+/// As [`super::photometric()`] (Eq. 13), from [`l1()`] and [`ssim`].
 ///
 /// # Errors
 /// [`RasterError::SizeMismatch`]; [`RasterError::Lambda`].
@@ -107,24 +108,20 @@ pub fn photometric<T: Real>(
     lambda: f64,
     excluded: Option<&MaskImage>,
     par: Par,
-) -> Result<PictureLoss<T>, RasterError> {
+) -> Result<ImageLoss<T>, RasterError> {
     check_lambda(lambda)?;
     let absolute = l1(rendered, target, excluded)?;
     let structure = ssim(rendered, target, excluded, par)?;
     let pixels = absolute.pixels;
-    let (keep, lambda) = (T::from_f64(1.0 - lambda), T::from_f64(lambda));
-    // Where nothing is judged SSIM is 0 for want of pixels, not of likeness.
-    let unlike = if pixels == 0 {
-        T::ZERO
-    } else {
-        T::ONE - structure.value
-    };
+    let (rest, lambda) = (T::from_f64(1.0 - lambda), T::from_f64(lambda));
+    // Without pixels the loss is 0.
+    let similarity = if pixels == 0 { T::ONE } else { structure.value };
     let (width, height) = rendered.size();
-    Ok(PictureLoss {
-        value: keep * absolute.value + lambda * unlike,
+    Ok(ImageLoss {
+        value: rest * absolute.value + lambda * (T::ONE - similarity),
         gradient: Image::from_fn(width, height, |x, y| {
             let (a, s) = (absolute.gradient[(x, y)], structure.gradient[(x, y)]);
-            [0, 1, 2].map(|channel| keep * a[channel] - lambda * s[channel])
+            [0, 1, 2].map(|channel| rest * a[channel] - lambda * s[channel])
         }),
         pixels,
     })

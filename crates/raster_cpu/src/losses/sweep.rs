@@ -15,7 +15,7 @@ use std::ops::Range;
 
 use garad_core::{Image, MaskImage, Par, Real};
 
-use super::count;
+use super::image_loss::count_included;
 use super::reference::{C1, C2, RADIUS, TAPS, taps};
 
 /// Numbers between a pixel and the next of its row.
@@ -36,18 +36,18 @@ pub(super) struct Swept<T> {
     pub(super) structure: f64,
     /// Of the weighted sum of the two means.
     pub(super) gradient: Image<[T; 3]>,
-    /// Pixels judged.
+    /// Included pixels.
     pub(super) pixels: usize,
 }
 
-/// Both means over judged pixels, and the gradient by x of
+/// Both means over included pixels, and the gradient by x of
 /// `weights[0]` mean |x - y| + `weights[1]` mean S.
 ///
-/// The pictures are known to be of one size.
+/// The images are known to be of one size.
 ///
 /// # Numerics
-/// Every number of a picture is made by the same operations wherever bands begin. Sums run in f64
-/// within a row and from row to row, so they do not know of bands either.
+/// Every number of the gradient is made by the same operations wherever bands begin. Sums run in
+/// f64 within a row and from row to row, so they do not depend on bands either.
 pub(super) fn sweep<T: Real>(
     x: &Image<[T; 3]>,
     y: &Image<[T; 3]>,
@@ -56,8 +56,8 @@ pub(super) fn sweep<T: Real>(
     par: Par,
 ) -> Swept<T> {
     let (width, height) = x.size();
-    let pixels = count(excluded, x.data().len());
-    // Where nothing is judged the sums are 0, whatever they are divided by.
+    let pixels = count_included(excluded, x.data().len());
+    // Where no pixel is included the sums are 0, whatever they are divided by.
     let terms = 3.0 * pixels.max(1) as f64;
     let job = Job {
         x,
@@ -72,8 +72,8 @@ pub(super) fn sweep<T: Real>(
         .div_ceil(par.threads().saturating_mul(BANDS_PER_THREAD))
         .max(LEAST_ROWS);
     if width > 0 {
-        let pictures = gradient.data_mut().chunks_mut(rows * width);
-        let mut bands: Vec<Band<T>> = pictures
+        let pieces = gradient.data_mut().chunks_mut(rows * width);
+        let mut bands: Vec<Band<T>> = pieces
             .zip(sums.chunks_mut(rows))
             .enumerate()
             .map(|(band, (gradient, sums))| Band {
@@ -155,7 +155,7 @@ impl<T: Real> Job<'_, T> {
         }
     }
 
-    /// x, y, x² + y² and xy of a row; y in the place of x where nothing is judged.
+    /// x, y, x² + y² and xy of a row; y in the place of x in excluded pixels.
     fn products(&self, row: usize, out: &mut [Vec<T>; 4]) {
         let [x, y, squares, product] = out.each_mut().map(|field| {
             let n = field.len() - 2 * MARGIN;
@@ -172,8 +172,8 @@ impl<T: Real> Job<'_, T> {
         }
     }
 
-    /// S of a row and `weights[1]` times its slopes from the blurred moments; 0 where nothing is
-    /// judged.
+    /// S of a row and `weights[1]` times its slopes from the blurred moments; 0 in excluded
+    /// pixels.
     fn similarity(&self, row: usize, moments: &[T], s: &mut [T], slopes: &mut [Vec<T>]) {
         let n = s.len();
         let two = T::from_f64(2.0);
@@ -182,7 +182,7 @@ impl<T: Real> Job<'_, T> {
         let field = |k: usize| &moments[k * n..][..n];
         let (mx, my, squares, product) = (field(0), field(1), field(2), field(3));
         let [by_mean, by_square, by_product] = slopes else {
-            return;
+            unreachable!("three slopes per moment");
         };
         let [by_mean, by_square, by_product] =
             [by_mean, by_square, by_product].map(|field| &mut field[MARGIN..][..n]);
@@ -210,11 +210,11 @@ impl<T: Real> Job<'_, T> {
         });
     }
 
-    /// The gradient of a row from the blurred slopes, and |x - y|; 0 where nothing is judged.
+    /// The gradient of a row from the blurred slopes, and |x - y|; 0 in excluded pixels.
     fn gradient(&self, row: usize, slopes: &[T], absolute: &mut [T], out: &mut [[T; 3]]) {
         let n = absolute.len();
         let two = T::from_f64(2.0);
-        let pull = self.weights[0];
+        let slope = self.weights[0];
         let (x, y) = (
             &self.x.row(row).as_flattened()[..n],
             &self.y.row(row).as_flattened()[..n],
@@ -225,8 +225,8 @@ impl<T: Real> Job<'_, T> {
         for i in 0..n {
             let difference = x[i] - y[i];
             absolute[i] = difference.abs();
-            let up = if difference > T::ZERO { pull } else { T::ZERO };
-            let down = if difference < T::ZERO { pull } else { T::ZERO };
+            let up = if difference > T::ZERO { slope } else { T::ZERO };
+            let down = if difference < T::ZERO { slope } else { T::ZERO };
             let structure = by_mean[i] + two * x[i] * by_square[i] + y[i] * by_product[i];
             out[i] = (up - down) + structure;
         }
@@ -269,7 +269,7 @@ fn weighted<T: Real>(taps: &[T; TAPS], rows: [&[T]; TAPS], out: &mut [T]) {
     }
 }
 
-/// The last eleven rows of something, and a row of zeros for what lies outside the picture.
+/// The last eleven rows of something, and a row of zeros for what lies outside the image.
 struct LastRows<T> {
     numbers: Vec<T>,
     n: usize,
@@ -296,7 +296,7 @@ impl<T: Real> LastRows<T> {
     }
 }
 
-/// Hands the places of each pixel of the row that is not judged to `f`.
+/// Hands the places of each excluded pixel of the row to `f`.
 #[inline]
 fn for_excluded(excluded: Option<&MaskImage>, row: usize, mut f: impl FnMut(Range<usize>)) {
     let Some(mask) = excluded else { return };

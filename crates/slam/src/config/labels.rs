@@ -1,23 +1,7 @@
-//! What moves: samples, free space, the random field, the flow check.
+//! What moves: samples, free space, retention, patch motion.
 
-use garad_crf::{CrfConfig, CueModel, DepthNoise, LabelWindowConfig, Method, Pooling, Side};
-use garad_features::flow::{FlowConfig, FlowEstimator, FlowForm};
+use garad_crf::{DepthNoise, LabelWindowConfig};
 use serde::{Deserialize, Serialize};
-
-/// The field as it is used here; what differs from [`CrfConfig::default`] is argued in decision 005.
-pub(super) fn crf_default() -> CrfConfig {
-    let mut crf = CrfConfig::default();
-    crf.unary.reprojection = CueModel::new(2.5, 1.0, Side::Above);
-    crf.unary.depth = CueModel::new(2.0, 1.5, Side::Above);
-    crf.unary.observations = CueModel::new(2.0, 1.0, Side::Below);
-    crf.unary.epipolar = CueModel::new(2.0, 1.0, Side::Above);
-    crf.unary.pooling = Pooling::Geometric;
-    crf.kernels.sigma_m = 0.2;
-    crf.kernels.sigma_px = 30.0;
-    crf.mean_field.iterations = 5;
-    crf.mean_field.method = Method::Fast { tail: 1e-4 };
-    crf
-}
 
 /// What moves, and what that does to features.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -64,11 +48,25 @@ pub struct LabelConfig {
     /// When the mask is interpolated, samples whose depth differs by more than this share belong to
     /// another object.
     pub edge_ratio: f64,
+    /// What decides the label of a tagged Gaussian.
+    pub tagged: TaggedLabels,
     /// The retention window (eq. 7).
     pub window: LabelWindowConfig,
     /// Motion of samples' patches since older images.
     #[serde(alias = "displacement")]
     pub patch_motion: PatchMotionConfig,
+}
+
+/// What decides the label of a Gaussian that is tagged with a landmark.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TaggedLabels {
+    /// Its landmark's label at a keyframe where that changed, else its own depth evidence. The two
+    /// can differ: training moves a Gaussian off its landmark.
+    #[default]
+    Evidence,
+    /// Its landmark's label, always: a landmark and its Gaussian are one thing, as in the paper.
+    Landmark,
 }
 
 /// The search for sideways motion of image patches (decision 012).
@@ -140,88 +138,9 @@ impl Default for LabelConfig {
             suspect_sigmas: 3.0,
             max_moving: 0.9,
             edge_ratio: 0.04,
+            tagged: TaggedLabels::Evidence,
             window: LabelWindowConfig::default(),
             patch_motion: PatchMotionConfig::default(),
-        }
-    }
-}
-
-/// χ² with two degrees of freedom that half of what is static stays below: 2 ln 2 (decision 005).
-const NEARER_HALF_CHI2: f64 = 1.386_294_361_119_890_6;
-
-/// The flow check of suspects (paper sec. III-B).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct FlowCheckConfig {
-    /// Off (`--without flow`): suspects stay suspects.
-    pub enabled: bool,
-    /// Flow as measured (as the paper prints it), or minus the flow that the camera's motion
-    /// predicts at the measured depth.
-    pub model: FlowModelKind,
-    /// How mean and covariance of the static flow are found.
-    pub estimator: FlowEstimatorKind,
-    /// Added to both variances, px².
-    pub covariance_floor_px2: f64,
-    /// Static points a model needs.
-    pub min_support: usize,
-    /// χ² with two degrees of freedom up to which a suspect counts as static; 5.991 holds 95 % of them.
-    pub chi2: f64,
-}
-
-/// See [`FlowCheckConfig::model`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum FlowModelKind {
-    /// As measured.
-    Raw,
-    /// Without what the camera's motion explains.
-    #[default]
-    Residual,
-}
-
-/// See [`garad_features::flow::FlowEstimator`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum FlowEstimatorKind {
-    /// Plain mean and covariance: the paper.
-    Moments,
-    /// Median and median absolute deviation.
-    MedianMad,
-    /// Moments of what lies within 95 % of those.
-    #[default]
-    Trimmed,
-}
-
-impl Default for FlowCheckConfig {
-    fn default() -> Self {
-        Self {
-            enabled: true,
-            model: FlowModelKind::Residual,
-            estimator: FlowEstimatorKind::Trimmed,
-            covariance_floor_px2: 0.04,
-            min_support: 10,
-            chi2: NEARER_HALF_CHI2,
-        }
-    }
-}
-
-impl FlowCheckConfig {
-    /// As the check wants it.
-    #[must_use]
-    pub fn check(&self) -> FlowConfig {
-        FlowConfig {
-            form: match self.model {
-                FlowModelKind::Raw => FlowForm::Raw,
-                FlowModelKind::Residual => FlowForm::Residual,
-            },
-            estimator: match self.estimator {
-                FlowEstimatorKind::Moments => FlowEstimator::Moments,
-                FlowEstimatorKind::MedianMad => FlowEstimator::MedianMad,
-                FlowEstimatorKind::Trimmed => FlowEstimator::Trimmed,
-            },
-            covariance_floor_px2: self.covariance_floor_px2,
-            min_support: self.min_support,
-            chi2: self.chi2,
         }
     }
 }

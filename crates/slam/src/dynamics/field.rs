@@ -44,9 +44,7 @@ pub(crate) fn label_samples(
         add_patch_motion(context, view, pyramid, references, &samples, &mut evidence);
     }
     let judged = evidence.iter().filter_map(|e| e.residual);
-    let suspects = judged
-        .clone()
-        .filter(|r| *r > config.labels.suspect_sigmas);
+    let suspects = judged.clone().filter(|r| *r > config.labels.suspect_sigmas);
     let (judged, suspects) = (judged.count(), suspects.count());
     if suspects as f64 > config.labels.max_moving * judged as f64 {
         return None;
@@ -194,24 +192,15 @@ mod tests {
     fn no_labels_before_the_bootstrap_is_over_or_without_history() {
         let mut world = World::new(Config::default());
         let mut early = world.frame(9, &wall());
-        assert!(
-            world.label(&mut early, &wall(), None).is_none(),
-            "frame 9"
-        );
+        assert!(world.label(&mut early, &wall(), None).is_none(), "frame 9");
         let mut alone = world.frame(10, &wall());
         assert!(
             world.label(&mut alone, &wall(), None).is_none(),
             "no history"
         );
         world.keep(early.clone(), &wall());
-        assert!(
-            world.label(&mut early, &wall(), None).is_none(),
-            "frame 9"
-        );
-        assert!(
-            world.label(&mut alone, &wall(), None).is_some(),
-            "frame 10"
-        );
+        assert!(world.label(&mut early, &wall(), None).is_none(), "frame 9");
+        assert!(world.label(&mut alone, &wall(), None).is_some(), "frame 10");
     }
 
     #[test]
@@ -240,10 +229,7 @@ mod tests {
 
         nine = wall_behind([[0, 160], [0, 120]]);
         now = world.frame(60, &nine);
-        assert!(
-            world.label(&mut now, &nine, None).is_none(),
-            "ten of ten"
-        );
+        assert!(world.label(&mut now, &nine, None).is_none(), "ten of ten");
         assert!(now.label.iter().all(|l| *l == Label::Static), "no label");
         assert!(now.in_use.iter().all(|u| *u), "none put aside");
 
@@ -256,17 +242,13 @@ mod tests {
             "a metre off"
         );
         lost.camera_from_world = Se3::identity();
-        let right = world
-            .label(&mut lost, &wall(), None)
-            .expect("right pose");
+        let right = world.label(&mut lost, &wall(), None).expect("right pose");
         assert!(moving_share(&right) <= 0.0, "the wall");
 
         config.labels.max_moving = 1.0;
         world = world_that_saw(&wall(), config);
         lost.camera_from_world = step;
-        let cells = world
-            .label(&mut lost, &wall(), None)
-            .expect("no guard");
+        let cells = world.label(&mut lost, &wall(), None).expect("no guard");
         // The part within the old image: (2/3)² of it.
         assert!(moving_share(&cells) > 0.4, "{}", moving_share(&cells));
     }

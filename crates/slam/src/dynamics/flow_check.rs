@@ -98,8 +98,8 @@ pub(crate) fn restore_static(
     let (judged, flows): (Vec<usize>, Vec<FlowPoint>) = (support.len()..tracked.len())
         .filter_map(|k| Some((tracked[k], flow(k)?)))
         .unzip();
-    let verification = verify_flow(&model, &flows, &config.check())
-        .expect("flows are finite and the settings are valid");
+    let verification =
+        verify_flow(&model, &flows, config).expect("flows are finite and the settings are valid");
     recorder.record("flow", |record| {
         record.flow(&model, &flows, &verification);
     });

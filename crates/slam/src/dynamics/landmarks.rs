@@ -6,13 +6,24 @@ use garad_crf::{Crf, Node};
 
 use super::cues::landmark_cues;
 use super::evidence::FreeSpaceHistory;
+use super::retention::Retention;
 use crate::context::Context;
 use crate::map::Map;
 use crate::trace::Recorder;
 
+/// The label that a landmark got at a keyframe.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LandmarkLabel {
+    /// The landmark.
+    pub id: LandmarkId,
+    /// Its label.
+    pub label: Label,
+    /// Whether it was another before.
+    pub changed: bool,
+}
+
 /// Labels the landmarks that a keyframe and its neighbours observe, and is the only writer of
-/// landmark labels. Returns the landmarks whose label changed. A landmark that was dynamic in every
-/// run of the window is dropped (eq. 7).
+/// landmark labels. A landmark that was dynamic in every run of the window is dropped (eq. 7).
 pub(crate) fn label_landmarks(
     context: &Context,
     map: &mut Map,
@@ -20,7 +31,7 @@ pub(crate) fn label_landmarks(
     crf: &Crf,
     history: &FreeSpaceHistory<'_>,
     recorder: &mut Recorder,
-) -> Vec<(LandmarkId, Label)> {
+) -> Vec<LandmarkLabel> {
     let neighbours = map.covisible(keyframe).into_keys();
     let ids = map.observed_by(neighbours.chain([keyframe]));
     let frame = map.keyframe(keyframe);
@@ -50,18 +61,19 @@ pub(crate) fn label_landmarks(
     recorder.record("label_map", |record| {
         record.landmark_field(ids.iter().copied(), &nodes, &beliefs);
     });
-    let mut changed = Vec::new();
+    let mut labelled = Vec::with_capacity(ids.len());
     for (id, label) in ids.into_iter().zip(beliefs.labels) {
-        let landmark = map.landmark_mut(id).expect("nodes are landmarks of the map");
-        let retention = landmark.push_label(label, &context.config.labels.window);
-        if retention.changed {
-            changed.push((id, label));
-        }
-        if retention.expired {
+        let landmark = map
+            .landmark_mut(id)
+            .expect("nodes are landmarks of the map");
+        let Retention { changed, expired } =
+            landmark.push_label(label, &context.config.labels.window);
+        labelled.push(LandmarkLabel { id, label, changed });
+        if expired {
             map.drop_landmark(id);
         }
     }
-    changed
+    labelled
 }
 
 #[cfg(test)]
@@ -75,12 +87,24 @@ mod tests {
 
     /// Labels a keyframe's landmarks; returns those that changed.
     fn label(world: &mut World, keyframe: KeyframeId) -> Vec<(LandmarkId, Label)> {
-        let World { context, map, dynamics, .. } = world;
+        let World {
+            context,
+            map,
+            dynamics,
+            ..
+        } = world;
         let now = map.keyframe(keyframe).id;
         let crf = Crf::new(context.config.crf.clone()).expect("valid");
         let history = dynamics.history(context, map, now);
         let recorder = &mut Recorder::default();
-        label_landmarks(context, map, keyframe, &crf, &history, recorder)
+        changed(label_landmarks(
+            context, map, keyframe, &crf, &history, recorder,
+        ))
+    }
+
+    fn changed(labelled: Vec<LandmarkLabel>) -> Vec<(LandmarkId, Label)> {
+        let changed = labelled.into_iter().filter(|l| l.changed);
+        changed.map(|l| (l.id, l.label)).collect()
     }
 
     const BOX_PX: [[usize; 2]; 2] = [[48, 112], [32, 96]];
@@ -97,7 +121,10 @@ mod tests {
         let mut of = [Vec::new(), Vec::new()];
         let scales = world.context.scales.clone();
         for (i, [x, y]) in places().into_iter().enumerate() {
-            let p_world = world.map.keyframe(first).world_point(i, &world.context.camera);
+            let p_world = world
+                .map
+                .keyframe(first)
+                .world_point(i, &world.context.camera);
             let p_world = p_world.expect("no keypoint is on an edge");
             let id = world.map.add_landmark(p_world, first, i, &scales);
             let on_wall = !is_in(BOX_PX, x, y);
@@ -172,9 +199,14 @@ mod tests {
         let first = world.map.keyframe(KeyframeId(0));
         back.landmark.clone_from(&first.landmark);
         let back = world.map.add_keyframe(back);
-        let World { context, map, dynamics, .. } = &mut world;
+        let World {
+            context,
+            map,
+            dynamics,
+            ..
+        } = &mut world;
         let recorder = &mut Recorder::default();
-        let changed = dynamics.label_keyframe(context, map, back, &depth, None, recorder);
+        let changed = changed(dynamics.label_keyframe(context, map, back, &depth, None, recorder));
         let left: Vec<_> = dynamics.free_space.keys().copied().collect();
         assert_eq!(left, [back], "30 frames of memory");
         let expected: Vec<_> = of_box.iter().map(|id| (*id, Label::Static)).collect();
@@ -197,7 +229,9 @@ mod tests {
         let (mut world, third, [of_box, of_wall]) = a_box_that_left(Config::default());
         let cues = |world: &World, id| {
             let landmark = world.map.landmark(id).expect("alive");
-            let history = world.dynamics.history(&world.context, &world.map, FrameId(20));
+            let history = world
+                .dynamics
+                .history(&world.context, &world.map, FrameId(20));
             landmark_cues(&world.context, &world.map, landmark, &history)
         };
         let [on_box, on_wall] = [of_box[0], of_wall[0]].map(|id| cues(&world, id));
@@ -225,7 +259,11 @@ mod tests {
         // Aside, ahead and turned, and the keypoint where the landmark is: its line passes through it.
         let p_world = world.map.landmark(of_wall[0]).expect("alive").p_world;
         let pose = Se3::exp(&Vector6::new(-0.5, 0.1, -0.5, 0.02, -0.1, 0.05));
-        let uv = world.context.camera.project(&(pose * p_world)).expect("in front");
+        let uv = world
+            .context
+            .camera
+            .project(&(pose * p_world))
+            .expect("in front");
         let keyframe = world.map.keyframe_mut(third);
         keyframe.camera_from_world = pose;
         keyframe.uv_px[i] = uv;

@@ -3,9 +3,9 @@
 use garad_core::{DepthImage, Image, Label, MaskImage, Real};
 use nalgebra::Vector2;
 
-use crate::mask::CELL_PX;
 use super::samples::{Lattice, Sample};
 use crate::config::Config;
+use crate::mask::CELL_PX;
 use crate::mask::MOVING;
 
 /// The mask in cells: the mean belief of the lattice samples around, weighted by their distance in

@@ -301,8 +301,18 @@ mod tests {
         for (id, by_px) in images {
             let seen = world.frame(*id, &wall());
             let keyframe = world.keep(seen, &wall());
-            let World { images, map, context, .. } = &mut world;
-            images.insert(keyframe, Some(Arc::new(swayed(*by_px))), map, &context.config);
+            let World {
+                images,
+                map,
+                context,
+                ..
+            } = &mut world;
+            images.insert(
+                keyframe,
+                Some(Arc::new(swayed(*by_px))),
+                map,
+                &context.config,
+            );
         }
         world
     }
@@ -310,7 +320,12 @@ mod tests {
     /// Residuals of every fourth pixel of frame 40, in units of σ, where free space finds everything
     /// static: those of the shirt, and those whose windows do not touch it.
     fn residuals(world: &World, depth: &DepthImage, pyramid: &LkPyramid) -> [Vec<f64>; 2] {
-        let World { context, map, images, dynamics } = world;
+        let World {
+            context,
+            map,
+            images,
+            dynamics,
+        } = world;
         let now = world.frame(40, depth);
         let columns = (4..156usize).step_by(4);
         let places = columns.flat_map(|x| (4..116usize).step_by(4).map(move |y| (x, y)));

@@ -74,7 +74,9 @@ impl DepthPlanes {
             columns,
             rows,
             planes: blocks
-                .map(|(x, y)| InverseDepthPlane::fit(depth, x * BLOCK_PX, y * BLOCK_PX, max_depth_m, noise))
+                .map(|(x, y)| {
+                    InverseDepthPlane::fit(depth, x * BLOCK_PX, y * BLOCK_PX, max_depth_m, noise)
+                })
                 .collect(),
         }
     }

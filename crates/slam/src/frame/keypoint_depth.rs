@@ -7,7 +7,11 @@ use crate::config::FeatureConfig;
 
 /// Depth at a keypoint's nearest pixel; `None` if missing, too far, or on an edge: the valid
 /// depths of the 3x3 pixels around it spread by more than `edge_ratio` of it.
-pub(super) fn depth_at(depth: &DepthImage, px: &Vector2<f64>, config: &FeatureConfig) -> Option<f64> {
+pub(super) fn depth_at(
+    depth: &DepthImage,
+    px: &Vector2<f64>,
+    config: &FeatureConfig,
+) -> Option<f64> {
     let (x, y) = nearest_pixel(px, depth.size())?;
     let usable = |d: f32| d.is_finite() && d > 0.0 && f64::from(d) <= config.max_depth_m;
     let center = depth[(x, y)];
@@ -52,7 +56,10 @@ pub(super) fn one_surface(depth: &DepthImage, px: &Vector2<f64>, ratio: f64) -> 
     clippy::cast_sign_loss,
     reason = "compared with the image's bounds before the cast"
 )]
-pub(super) fn nearest_pixel(px: &Vector2<f64>, (width, height): (usize, usize)) -> Option<(usize, usize)> {
+pub(super) fn nearest_pixel(
+    px: &Vector2<f64>,
+    (width, height): (usize, usize),
+) -> Option<(usize, usize)> {
     let (x, y) = ((px.x + 0.5).floor(), (px.y + 0.5).floor());
     let inside = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
     inside.then_some((x as usize, y as usize))

@@ -183,7 +183,10 @@ mod tests {
         let count = world.map.landmarks().count();
         assert_eq!(count, usize::from(POINTS) - 1, "the first one had no other");
         let mut alone = self::world(1, |_, _| Some(0));
-        assert!(!alone.map.cull(KeyframeId(0), &scales), "nothing to tie it to");
+        assert!(
+            !alone.map.cull(KeyframeId(0), &scales),
+            "nothing to tie it to"
+        );
         assert!(!alone.map.is_culled(KeyframeId(0)), "so it stays");
     }
 

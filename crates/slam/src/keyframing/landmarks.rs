@@ -1,12 +1,13 @@
 //! What a new keyframe does to the landmarks: it observes, makes, drops and fuses them.
 
-use garad_core::{KeyframeId, LandmarkId};
+use garad_core::chi_square::{CHI2_2DOF_95, CHI2_3DOF_95};
+use garad_core::{KeyframeId, Label, LandmarkId};
 
 use crate::context::Context;
 use crate::frame::Frame;
+use crate::map::landmark::Landmark;
 use crate::map::{Map, by_count};
 use crate::mapping::job::NewLandmark;
-use crate::tracking::observation::{CHI2_2D, CHI2_3D};
 
 /// Adds a keyframe: its links become observations, its depth becomes landmarks, duplicates in
 /// neighbouring keyframes are fused, and unconfirmed landmarks among the `recent` ones are dropped.
@@ -78,13 +79,14 @@ fn drop_weak_landmarks(
     });
 }
 
-/// What the mapper needs to know of the landmarks a keyframe made.
+/// What the mapper needs to know of the static landmarks a keyframe made.
 pub(crate) fn landmarks_born_in(map: &Map, id: KeyframeId) -> Vec<NewLandmark> {
     let keyframe = map.keyframe(id);
     let linked = (0..keyframe.len()).filter_map(|i| Some((i, keyframe.landmark[i]?)));
     linked
         .filter_map(|(i, landmark)| {
-            let found = map.landmark(landmark).filter(|l| l.born == id)?;
+            let born_here = |l: &&Landmark| l.born == id && l.label() == Label::Static;
+            let found = map.landmark(landmark).filter(born_here)?;
             Some(NewLandmark {
                 id: landmark,
                 p_world: found.p_world,
@@ -155,9 +157,9 @@ pub(crate) fn fuse_into(
                 match frame.depth_m[k] {
                     Some(depth) => {
                         let disparity = bf / depth - bf / seen.depth_m;
-                        error + disparity * disparity <= CHI2_3D * sigma * sigma
+                        error + disparity * disparity <= CHI2_3DOF_95 * sigma * sigma
                     }
-                    None => error <= CHI2_2D * sigma * sigma,
+                    None => error <= CHI2_2DOF_95 * sigma * sigma,
                 }
             })
             .map(|k| (frame.descriptors[k].distance(&landmark.descriptor), k))

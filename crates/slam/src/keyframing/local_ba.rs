@@ -7,8 +7,8 @@ use garad_optim::{BundleConfig, BundleObservation, optimise_bundle};
 
 use crate::context::Context;
 use crate::map::{Map, by_count};
-use crate::tracking::observation::observation;
 use crate::trace::Recorder;
+use crate::tracking::observation::observation;
 
 /// Optimises a keyframe, its most covisible neighbours and every landmark they observe. Other
 /// keyframes that observe those landmarks hold the gauge; the first keyframe never moves.
@@ -36,7 +36,9 @@ pub(crate) fn local_ba(
     let mut fixed = by_count(&others);
     fixed.truncate(config.max_fixed);
     let iterations = config.iterations;
-    adjust(context, map, &free, &fixed, &landmarks, iterations, recorder);
+    adjust(
+        context, map, &free, &fixed, &landmarks, iterations, recorder,
+    );
 }
 
 /// Optimises free keyframes and landmarks over all observations by these and the fixed ones.
@@ -66,7 +68,9 @@ pub(crate) fn adjust(
     let mut observations = Vec::new();
     let mut sources = Vec::new();
     for id in landmarks {
-        let landmark = map.landmark(*id).expect("adjusted landmarks are in the map");
+        let landmark = map
+            .landmark(*id)
+            .expect("adjusted landmarks are in the map");
         for (keyframe, i) in &landmark.observations {
             let Some(&pose) = pose_of.get(keyframe) else {
                 continue;
@@ -136,9 +140,14 @@ mod tests {
         let first = world.map.add_keyframe(first);
         let made: Vec<_> = (0..300)
             .map(|i| {
-                let p_world = world.map.keyframe(first).world_point(i, &world.context.camera);
+                let p_world = world
+                    .map
+                    .keyframe(first)
+                    .world_point(i, &world.context.camera);
                 let p_world = p_world.expect("on the wall");
-                world.map.add_landmark(p_world, first, i, &world.context.scales)
+                world
+                    .map
+                    .add_landmark(p_world, first, i, &world.context.scales)
             })
             .collect();
         for id in [20, 40] {

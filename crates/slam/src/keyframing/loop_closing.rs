@@ -292,7 +292,9 @@ fn global_ba(context: &Context, map: &mut Map, recorder: &mut Recorder) {
     let mut landmarks: Vec<LandmarkId> = map.landmark_ids();
     landmarks.retain(|l| map.static_landmark(*l).is_some());
     let fixed = [KeyframeId(0)];
-    adjust(context, map, &free, &fixed, &landmarks, iterations, recorder);
+    adjust(
+        context, map, &free, &fixed, &landmarks, iterations, recorder,
+    );
 }
 
 /// after_from_before, in the world, of every keyframe.
@@ -384,7 +386,13 @@ mod tests {
             drift_m: 0.0,
         };
         // A whole lap: the camera is back at the first keyframe.
-        let solved = correct_path(&world.context, &mut world.map, &[], &closure, Se3::identity());
+        let solved = correct_path(
+            &world.context,
+            &mut world.map,
+            &[],
+            &closure,
+            Se3::identity(),
+        );
         assert!(solved, "solved");
         let after = error_m(&world);
         assert!(
@@ -409,7 +417,13 @@ mod tests {
                 Vector3::new(x, 0.0, 0.0),
             );
             seen.camera_from_world = error * seen.camera_from_world;
-            is_plausible(&world.context, &world.map, KeyframeId(STEPS), KeyframeId(0), &seen)
+            is_plausible(
+                &world.context,
+                &world.map,
+                KeyframeId(STEPS),
+                KeyframeId(0),
+                &seen,
+            )
         };
         assert!(seen_at(0.97 * limit_m, 0.0), "just within");
         assert!(!seen_at(1.03 * limit_m, 0.0), "just beyond");

@@ -78,12 +78,7 @@ impl Landmark {
     /// The expected appearance in a frame; `None` if it should not be visible there: behind,
     /// outside, too near, too far, from more than 60° beside its mean view, or if it moves.
     #[must_use]
-    pub fn appearance(
-        &self,
-        frame: &Frame,
-        camera: &Camera,
-        scales: &[f64],
-    ) -> Option<Appearance> {
+    pub fn appearance(&self, frame: &Frame, camera: &Camera, scales: &[f64]) -> Option<Appearance> {
         if self.label == Label::Dynamic {
             return None;
         }

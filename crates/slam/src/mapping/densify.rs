@@ -37,7 +37,8 @@ impl Densifier {
 
     pub(crate) fn retain(&mut self, keep: &[bool]) {
         let mut kept = keep.iter();
-        self.gradient.retain(|_| kept.next().copied().unwrap_or(true));
+        self.gradient
+            .retain(|_| kept.next().copied().unwrap_or(true));
         let mut kept = keep.iter();
         self.seen.retain(|_| kept.next().copied().unwrap_or(true));
     }

@@ -134,9 +134,9 @@ fn new_gaussian(
 }
 
 /// Removes the tags of landmarks that were dropped. `living` is in ascending order.
-pub(super) fn untag_dropped(map: &mut GaussianMap, living: &[LandmarkId]) {
+pub(super) fn untag_dropped(map: &mut GaussianMap, living: &[(LandmarkId, Label)]) {
     for tag in &mut map.landmark {
-        *tag = tag.filter(|l| living.binary_search(l).is_ok());
+        *tag = tag.filter(|l| living.binary_search_by_key(l, |(id, _)| *id).is_ok());
     }
 }
 
@@ -203,7 +203,12 @@ fn floor(c: f64) -> i32 {
     clippy::cast_sign_loss,
     reason = "float to integer saturates"
 )]
-fn explained(rendered: &Rendered<f32>, uv: &Vector2<f64>, z: f64, config: &InsertionConfig) -> bool {
+fn explained(
+    rendered: &Rendered<f32>,
+    uv: &Vector2<f64>,
+    z: f64,
+    config: &InsertionConfig,
+) -> bool {
     let (width, height) = rendered.opacity.size();
     // The last pixels of a row lie beyond the centre of the small image's last one.
     let at = |c: f64, n: usize| ((c / CHECK_STEP as f64 + 0.5) as usize).min(n.saturating_sub(1));
@@ -336,7 +341,7 @@ mod tests {
         assert_eq!(tag(&mut map, &first), 2, "an empty map: each gets its own");
         let second = [landmark(2, [0.04, 0.0, 2.0])];
         assert_eq!(tag(&mut map, &second), 1, "both in reach are tagged");
-        untag_dropped(&mut map, &[LandmarkId(0)]);
+        untag_dropped(&mut map, &[(LandmarkId(0), Label::Static)]);
         assert_eq!(tags(&map), [Some(0), None, None], "one lives");
         let third = [
             landmark(3, [0.048, 0.0, 2.0]),

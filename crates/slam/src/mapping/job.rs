@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::relabel::Relabelled;
+use crate::dynamics::landmarks::LandmarkLabel;
 
 /// Everything the mapper needs to know of a keyframe.
 #[derive(Debug, Clone)]
@@ -21,8 +22,8 @@ pub struct MappingJob {
     pub mask: Option<MaskImage>,
     /// The same in cells, if the keyframe was labelled: Gaussians are then labelled, too.
     pub cells: Option<MaskImage>,
-    /// Landmarks whose label has changed.
-    pub labels: Vec<(LandmarkId, Label)>,
+    /// The landmarks labelled at the keyframe.
+    pub labels: Vec<LandmarkLabel>,
     /// camera_from_world of every keyframe so far, as adjusted.
     pub poses: Vec<Se3>,
     /// If a loop was closed at this keyframe: the correction of every keyframe so far,
@@ -30,8 +31,8 @@ pub struct MappingJob {
     pub moved: Vec<Se3>,
     /// Landmarks that the keyframe made.
     pub new_landmarks: Vec<NewLandmark>,
-    /// All landmarks of the map, ascending: the tags of others are removed.
-    pub living: Vec<LandmarkId>,
+    /// All landmarks of the map with their labels, ascending: the tags of others are removed.
+    pub living: Vec<(LandmarkId, Label)>,
     /// Training iterations.
     pub iterations: usize,
 }

@@ -1,6 +1,6 @@
 //! Loop correction: Gaussians move with the keyframe that made them when a loop is closed.
 
-use garad_core::sh::ShRotation;
+use garad_core::sh_rotation::ShRotation;
 use garad_core::{GaussianMap, Se3, So3};
 use nalgebra::Vector3;
 

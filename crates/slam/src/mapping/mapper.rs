@@ -18,11 +18,11 @@ use super::error::TrainError;
 use super::insert::{insert_depth_samples, insert_landmarks, untag_dropped};
 use super::job::{MappingDone, MappingJob};
 use super::loop_correction::apply_loop_correction;
-use super::relabel::{Relabelled, relabel};
+use super::relabel::{Relabelled, assert_labels_agree, relabel};
 use super::train::{Pick, TrainStep, Trainer, TrainingScene};
 use super::view::TrainingView;
 use super::view_mask::{LaterView, ViewDepth};
-use crate::config::DensifyConfig;
+use crate::config::{DensifyConfig, TaggedLabels};
 use crate::context::Context;
 use crate::dynamics::free_space::FreeSpace;
 use crate::io::SlamError;
@@ -143,22 +143,28 @@ impl Mapper {
         done
     }
 
-    /// Labels the Gaussians that the keyframe sees, drops those that were dynamic for a whole window
-    /// (eq. 7), and excludes from earlier views what the keyframe shows to be free space.
+    /// Labels the Gaussians, drops those that were dynamic for a whole window (eq. 7), and excludes from
+    /// earlier views what the keyframe shows to be free space.
+    ///
+    /// A keyframe without a mask in cells speaks of landmarks alone, and only where these decide.
     fn relabel(&mut self, job: &MappingJob) -> Relabelled {
-        let Some(cells) = &job.cells else {
-            return Relabelled::default();
-        };
         let Context { camera, config, .. } = &self.context;
         let pose = self.poses[job.keyframe.index()];
-        let mut free_space = FreeSpace::new(&job.depth, config.features.max_depth_m);
-        free_space.set_moving(cells.clone());
+        let free_space = job.cells.as_ref().map(|cells| {
+            let mut free_space = FreeSpace::new(&job.depth, config.features.max_depth_m);
+            free_space.set_moving(cells.clone());
+            free_space
+        });
+        let by_landmarks = config.labels.tagged == TaggedLabels::Landmark;
+        if free_space.is_none() && !by_landmarks {
+            return Relabelled::default();
+        }
         let windows = self.trainer.windows(&self.gaussians);
         let (counts, expired) = relabel(
             &mut self.gaussians,
             windows,
             &job.labels,
-            &free_space,
+            free_space.as_ref(),
             camera,
             &pose,
             &config.labels,
@@ -167,13 +173,23 @@ impl Mapper {
             let keep: Vec<bool> = expired.into_iter().map(|e| !e).collect();
             self.trainer.retain(&mut self.gaussians, &keep);
         }
-        let later = LaterView {
-            frame: job.frame,
-            free_space: &free_space,
-            camera_from_world: pose,
-        };
-        self.trainer
-            .mask_freed_space(&later, &self.poses, camera, &config.labels);
+        if cfg!(debug_assertions) {
+            assert_labels_agree(
+                &self.gaussians,
+                &job.labels,
+                &job.living,
+                config.labels.tagged,
+            );
+        }
+        if let Some(free_space) = &free_space {
+            let later = LaterView {
+                frame: job.frame,
+                free_space,
+                camera_from_world: pose,
+            };
+            self.trainer
+                .mask_freed_space(&later, &self.poses, camera, &config.labels);
+        }
         counts
     }
 
@@ -184,7 +200,12 @@ impl Mapper {
         if self.context.config.insertion.landmarks {
             insert_landmarks(&self.context, &mut self.gaussians, job, &pose);
         }
-        Ok(insert_depth_samples(&self.context, &mut self.gaussians, job, &pose)?)
+        Ok(insert_depth_samples(
+            &self.context,
+            &mut self.gaussians,
+            job,
+            &pose,
+        )?)
     }
 
     /// Keeps the keyframe's image to train on.

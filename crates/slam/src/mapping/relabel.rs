@@ -1,9 +1,8 @@
-//! The labels of Gaussians: from their landmarks, else from the keyframe's free space, kept in the window of
-//! eq. 7. The only writer of Gaussian labels.
+//! The labels of Gaussians, kept in the window of eq. 7. The only writer of Gaussian labels.
 //!
-//! Only tagged Gaussians have a landmark. All others were made from depth, clones and splits; for
-//! them the question is that of a frame's samples: is there free space where the Gaussian is, or
-//! something that moves?
+//! A tagged Gaussian has a landmark, whose label it takes (`labels.tagged`). All others were made from
+//! depth, clones and splits; for them the question is that of a frame's samples: is there free space
+//! where the Gaussian is, or something that moves?
 
 use std::collections::BTreeMap;
 
@@ -12,8 +11,9 @@ use garad_crf::LabelWindow;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use crate::config::LabelConfig;
+use crate::config::{LabelConfig, TaggedLabels};
 use crate::dynamics::free_space::{FreeSpace, Visibility};
+use crate::dynamics::landmarks::LandmarkLabel;
 use crate::dynamics::retention::push_label;
 
 /// Number of labels a keyframe changed.
@@ -27,29 +27,37 @@ pub struct Relabelled {
     pub removed: usize,
 }
 
-/// Gives every Gaussian in view a label and adds it to its window. The second result marks those that
-/// were dynamic for a whole window. A Gaussian whose landmark changed takes the landmark's label.
+/// Gives the Gaussians that landmarks or the keyframe's free space speak of a label, and adds it to
+/// their windows. The second result marks those that were dynamic for a whole window.
 pub(crate) fn relabel(
     map: &mut GaussianMap,
     windows: &mut [LabelWindow],
-    changed: &[(LandmarkId, Label)],
-    free_space: &FreeSpace,
+    labelled: &[LandmarkLabel],
+    free_space: Option<&FreeSpace>,
     camera: &Camera,
     camera_from_world: &Se3,
     config: &LabelConfig,
 ) -> (Relabelled, Vec<bool>) {
-    let changed: BTreeMap<LandmarkId, Label> = changed.iter().copied().collect();
-    let mut counts = Relabelled::default();
-    let mut expired = vec![false; map.len()];
-    for i in 0..map.len() {
-        let mean = Vector3::from(map.means[i].map(f64::from));
-        let of_landmark = map.landmark[i].and_then(|l| changed.get(&l).copied());
-        let visibility = free_space.query(&mean, camera, camera_from_world, &config.noise);
-        let label = of_landmark.or(match visibility {
+    let labelled: BTreeMap<LandmarkId, LandmarkLabel> =
+        labelled.iter().map(|l| (l.id, *l)).collect();
+    let of_evidence = |mean: [f32; 3]| {
+        let mean = Vector3::from(mean.map(f64::from));
+        match free_space?.query(&mean, camera, camera_from_world, &config.noise) {
             Visibility::InFront(sigmas) if sigmas > config.suspect_sigmas => Some(Label::Dynamic),
             Visibility::OnSurface(label) => Some(label),
             Visibility::InFront(_) | Visibility::Occluded | Visibility::Unknown => None,
-        });
+        }
+    };
+    let mut counts = Relabelled::default();
+    let mut expired = vec![false; map.len()];
+    for i in 0..map.len() {
+        let tag = map.landmark[i];
+        let landmark = tag.and_then(|l| labelled.get(&l));
+        let label = match config.tagged {
+            TaggedLabels::Landmark if tag.is_some() => landmark.map(|l| l.label),
+            _ => (landmark.filter(|l| l.changed).map(|l| l.label))
+                .or_else(|| of_evidence(map.means[i])),
+        };
         let Some(label) = label else { continue };
         let window = &mut windows[i];
         let retention = push_label(&mut map.label[i], window, label, &config.window);
@@ -62,6 +70,34 @@ pub(crate) fn relabel(
     }
     counts.removed = expired.iter().filter(|e| **e).count();
     (counts, expired)
+}
+
+/// The invariant of tagged Gaussians after a keyframe: with [`TaggedLabels::Landmark`] each has the label
+/// of its landmark, with [`TaggedLabels::Evidence`] each whose landmark changed.
+///
+/// # Panics
+/// If one has another label.
+pub(crate) fn assert_labels_agree(
+    map: &GaussianMap,
+    labelled: &[LandmarkLabel],
+    living: &[(LandmarkId, Label)],
+    tagged: TaggedLabels,
+) {
+    let labels: BTreeMap<LandmarkId, Label> = match tagged {
+        TaggedLabels::Landmark => living.iter().copied().collect(),
+        TaggedLabels::Evidence => (labelled.iter().filter(|l| l.changed))
+            .map(|l| (l.id, l.label))
+            .collect(),
+    };
+    for i in 0..map.len() {
+        let expected = map.landmark[i].and_then(|l| labels.get(&l));
+        let agrees = expected.is_none_or(|label| *label == map.label[i]);
+        assert!(
+            agrees,
+            "Gaussian {i} and landmark {:?} differ",
+            map.landmark[i]
+        );
+    }
 }
 
 #[cfg(test)]
@@ -85,11 +121,15 @@ mod tests {
         map
     }
 
-    fn run(map: &mut GaussianMap, windows: &mut [LabelWindow], free_space: &FreeSpace) -> Vec<bool> {
+    fn run(
+        map: &mut GaussianMap,
+        windows: &mut [LabelWindow],
+        free_space: &FreeSpace,
+    ) -> Vec<bool> {
         let camera = Camera::pinhole((64, 48), [60.0, 60.0, 31.5, 23.5]).expect("valid");
         let config = LabelConfig::default();
         let pose = Se3::identity();
-        relabel(map, windows, &[], free_space, &camera, &pose, &config).1
+        relabel(map, windows, &[], Some(free_space), &camera, &pose, &config).1
     }
 
     #[test]
@@ -117,5 +157,47 @@ mod tests {
         free_space.set_moving(MaskImage::new(16, 12, 0));
         run(&mut map, &mut windows, &free_space);
         assert_eq!(map.label, [Label::Static], "found static again");
+    }
+
+    /// A tagged Gaussian in free space, whose landmark is labelled, changed or not named.
+    #[test]
+    fn a_tagged_gaussian_takes_the_label_of_its_landmark() {
+        use Label::{Dynamic, Static};
+        let named = |label, changed| {
+            let id = LandmarkId(4);
+            vec![LandmarkLabel { id, label, changed }]
+        };
+        let free_space = FreeSpace::new(&DepthImage::new(64, 48, 2.0), 8.0);
+        for (tagged, labelled, expected) in [
+            (TaggedLabels::Evidence, named(Static, true), Static),
+            (TaggedLabels::Evidence, named(Static, false), Dynamic),
+            (TaggedLabels::Evidence, Vec::new(), Dynamic),
+            (TaggedLabels::Landmark, named(Static, true), Static),
+            (TaggedLabels::Landmark, named(Static, false), Static),
+            (TaggedLabels::Landmark, named(Dynamic, false), Dynamic),
+            (TaggedLabels::Landmark, Vec::new(), Static),
+        ] {
+            let mut map = map(&[1.0]);
+            map.landmark[0] = Some(LandmarkId(4));
+            let mut windows = vec![LabelWindow::default()];
+            let camera = Camera::pinhole((64, 48), [60.0, 60.0, 31.5, 23.5]).expect("valid");
+            let config = LabelConfig {
+                tagged,
+                ..LabelConfig::default()
+            };
+            let (free_space, pose) = (Some(&free_space), Se3::identity());
+            relabel(
+                &mut map,
+                &mut windows,
+                &labelled,
+                free_space,
+                &camera,
+                &pose,
+                &config,
+            );
+            assert_eq!(map.label, [expected], "{tagged:?} {labelled:?}");
+            let living = [(LandmarkId(4), labelled.first().map_or(Static, |l| l.label))];
+            assert_labels_agree(&map, &labelled, &living, tagged);
+        }
     }
 }

@@ -253,8 +253,7 @@ impl Trainer {
         let rendered = fast::render(map, camera, &pose, &options, par)?;
         let loss = training_loss(&rendered, &target, map, config, par)?;
         let upstream = &loss.upstream;
-        let mut gradients =
-            fast::backward(map, camera, &pose, &options, &rendered, upstream, par)?;
+        let mut gradients = fast::backward(map, camera, &pose, &options, &rendered, upstream, par)?;
         if let Some(penalty) = loss.opacity_logits {
             for (g, p) in gradients.opacity_logits.iter_mut().zip(penalty) {
                 *g += p;
@@ -288,12 +287,7 @@ impl Trainer {
         self.retain(map, &keep.collect::<Vec<_>>());
     }
 
-    fn densify_and_prune(
-        &mut self,
-        map: &mut GaussianMap,
-        extent_m: f64,
-        config: &DensifyConfig,
-    ) {
+    fn densify_and_prune(&mut self, map: &mut GaussianMap, extent_m: f64, config: &DensifyConfig) {
         let mut rng = Rng::keyed(self.seed, &[0x6772_6f77, self.iterations as u64]);
         let newest = self.views.last().map_or(0, |view| view.keyframe.0);
         let young_from = KeyframeId(newest.saturating_sub(config.young_keyframes));
@@ -316,7 +310,11 @@ impl Trainer {
     }
 
     /// Adds state for what was inserted, and for a new degree of the colours.
-    fn sync_optimiser(&mut self, map: &mut GaussianMap, config: &TrainConfig) -> Result<(), OptimError> {
+    fn sync_optimiser(
+        &mut self,
+        map: &mut GaussianMap,
+        config: &TrainConfig,
+    ) -> Result<(), OptimError> {
         let degree = self
             .iterations
             .checked_div(config.sh_every)

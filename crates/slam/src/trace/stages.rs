@@ -9,13 +9,13 @@ use garad_optim::{BundleObservation, DepthObservation, PoseObservation, PoseSolu
 use nalgebra::{Vector2, Vector3};
 
 use super::{NONE, StageRecord, matrix};
-use crate::frame::{Frame, FrameLabels};
 use crate::dynamics::evidence::DepthEvidence;
+use crate::frame::depth_planes::DepthPlanes;
+use crate::frame::{Frame, FrameLabels};
+use crate::io::FrameInput;
 use crate::map::Map;
 use crate::map::landmark::Appearance;
 use crate::mapping::job::NewLandmark;
-use crate::frame::depth_planes::DepthPlanes;
-use crate::io::FrameInput;
 
 fn id(landmark: Option<LandmarkId>) -> u32 {
     landmark.map_or(NONE, |l| l.0)
@@ -388,8 +388,8 @@ impl StageRecord {
     }
 
     /// What insertion reads: all landmarks of the map, and those the keyframe made.
-    pub(crate) fn landmarks(&mut self, living: &[LandmarkId], new: &[NewLandmark]) {
-        let ids: Vec<u32> = living.iter().map(|l| l.0).collect();
+    pub(crate) fn landmarks(&mut self, living: &[(LandmarkId, Label)], new: &[NewLandmark]) {
+        let ids: Vec<u32> = living.iter().map(|(l, _)| l.0).collect();
         self.input("living", "1", &[], ids);
         let ids: Vec<u32> = new.iter().map(|l| l.id.0).collect();
         self.input("new_landmark", "1", &[], ids);

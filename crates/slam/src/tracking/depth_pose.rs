@@ -13,6 +13,7 @@
 //! is solved for the rest: depth chooses the minimum, keypoints give the accuracy (decision 004 says
 //! why).
 
+use garad_core::chi_square::CHI2_2DOF_95;
 use garad_core::{KeyframeId, LandmarkId, Se3};
 use garad_optim::dense::{Dense, Problem, Visitor};
 use garad_optim::lm::{Model, minimise};
@@ -20,7 +21,7 @@ use garad_optim::pose::PoseProblem;
 use garad_optim::{LmConfig, PoseObservation, RobustKernel};
 use nalgebra::{Matrix1x6, SVector, Vector6};
 
-use super::observation::{CHI2_2D, observation};
+use super::observation::observation;
 use super::pose::pose_from_links;
 use crate::context::Context;
 use crate::frame::Frame;
@@ -85,7 +86,9 @@ fn pose_with_depth(
     }
     let observations = (0..frame.len()).filter_map(|i| {
         let p_world = map.static_landmark(links[i]?)?.p_world;
-        context.camera.project(&(frame.camera_from_world * p_world))?;
+        context
+            .camera
+            .project(&(frame.camera_from_world * p_world))?;
         Some(PoseObservation {
             depth: None,
             ..observation(&context.config.tracking, frame, i, p_world)
@@ -126,7 +129,7 @@ fn unlink_misfits(context: &Context, map: &Map, frame: &mut Frame) {
             let uv_px = context.camera.project(&p_cam);
             uv_px.is_some_and(|uv_px| {
                 let error = (uv_px - frame.uv_px[i]) / frame.sigma_px[i];
-                error.norm_squared() <= CHI2_2D
+                error.norm_squared() <= CHI2_2DOF_95
             })
         });
         if !fits {
@@ -286,7 +289,9 @@ mod tests {
             let Some(p_world) = keyframe.world_point(i, &world.context.camera) else {
                 continue;
             };
-            let landmark = world.map.add_landmark(p_world, id, i, &world.context.scales);
+            let landmark = world
+                .map
+                .add_landmark(p_world, id, i, &world.context.scales);
             now.landmark[i] = Some(landmark);
             if !is_body(now.px[i].x) {
                 let shift_px = world.context.camera.fx * STEP_M / f64::from(WALL_M);
@@ -344,7 +349,11 @@ mod tests {
         let (world, start, _) = in_step(config);
         let (mut plain, mut asked) = (start.clone(), start);
         let inliers = by_links(&world, &mut plain);
-        assert_eq!(refined(&world, &mut asked, MIN_SHARE_UNLABELLED), inliers, "inliers");
+        assert_eq!(
+            refined(&world, &mut asked, MIN_SHARE_UNLABELLED),
+            inliers,
+            "inliers"
+        );
         assert_eq!(plain.camera_from_world, asked.camera_from_world, "pose");
         assert_eq!(plain.landmark, asked.landmark, "links");
     }
@@ -361,7 +370,11 @@ mod tests {
         let kept: Vec<bool> = (world.map.keyframes().iter())
             .map(|k| k.depth_planes.is_some())
             .collect();
-        assert_eq!(kept, [false, false, true, true, true], "three are compared with");
+        assert_eq!(
+            kept,
+            [false, false, true, true, true],
+            "three are compared with"
+        );
         assert_eq!(recent_depth_planes(&world.map, 3).len(), 3, "of five");
     }
 }

@@ -109,7 +109,8 @@ pub(crate) fn from_local_map(
         let Some(best) = best else { continue };
         let ambiguous = best.second.is_some_and(|(second, level)| {
             level == frame.keypoints[best.keypoint].level
-                && f64::from(best.distance) > context.config.tracking.local_ratio * f64::from(second)
+                && f64::from(best.distance)
+                    > context.config.tracking.local_ratio * f64::from(second)
         });
         if best.distance <= context.config.tracking.match_distance && !ambiguous {
             frame.landmark[best.keypoint] = Some(*id);
@@ -121,7 +122,12 @@ pub(crate) fn from_local_map(
 
 /// Links keypoints to the landmarks of a keyframe by descriptor alone: ratio, mutual and
 /// rotation checks. Returns how many.
-pub(crate) fn from_keyframe(context: &Context, map: &Map, keyframe: &Frame, frame: &mut Frame) -> usize {
+pub(crate) fn from_keyframe(
+    context: &Context,
+    map: &Map,
+    keyframe: &Frame,
+    frame: &mut Frame,
+) -> usize {
     let known: Vec<_> = (0..keyframe.len())
         .filter(|&i| keyframe.landmark[i].is_some_and(|l| map.static_landmark(l).is_some()))
         .collect();
@@ -133,9 +139,8 @@ pub(crate) fn from_keyframe(context: &Context, map: &Map, keyframe: &Frame, fram
         ratio: Some(context.config.tracking.reference_ratio),
         mutual: true,
     };
-    let descriptors = |of: &Frame, at: &[usize]| -> Vec<_> {
-        at.iter().map(|&i| of.descriptors[i]).collect()
-    };
+    let descriptors =
+        |of: &Frame, at: &[usize]| -> Vec<_> { at.iter().map(|&i| of.descriptors[i]).collect() };
     let mut pairs = match_descriptors(
         &descriptors(keyframe, &known),
         &descriptors(frame, &free),
@@ -307,7 +312,8 @@ mod tests {
             .map(|id| {
                 let landmark = map.landmark(*id).expect("made");
                 let frame = scene.frame(&[]);
-                let seen = landmark.appearance(&frame, &scene.context.camera, &scene.context.scales);
+                let seen =
+                    landmark.appearance(&frame, &scene.context.camera, &scene.context.scales);
                 (*id, seen.expect("at the centre of the image"))
             })
             .collect();

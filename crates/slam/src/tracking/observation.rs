@@ -6,11 +6,6 @@ use nalgebra::Vector3;
 use crate::config::{DepthResidual, TrackingConfig};
 use crate::frame::Frame;
 
-/// χ² at 95 % for 2 and 3 degrees of freedom: the gates of every reprojection test.
-pub(crate) const CHI2_2D: f64 = 5.991;
-/// See [`CHI2_2D`].
-pub(crate) const CHI2_3D: f64 = 7.815;
-
 /// Keypoint i of a frame as an observation of a point: its position with its σ, and its depth as
 /// a disparity with a σ of its own (decision 004).
 pub(crate) fn observation(

@@ -110,7 +110,10 @@ pub(crate) fn locate(
         .filter(|id| !linked.contains(id))
         .filter_map(|id| {
             let landmark = map.static_landmark(id)?;
-            Some((id, landmark.appearance(frame, &context.camera, &context.scales)?))
+            Some((
+                id,
+                landmark.appearance(frame, &context.camera, &context.scales)?,
+            ))
         })
         .collect();
     matching::from_local_map(context, map, &visible, frame);

@@ -1,50 +1,53 @@
-//! Fields small enough to look at whole: energies, all labellings, the free energy.
+//! Fields small enough to enumerate: the energy of a labelling, all labellings, the free energy.
 //!
 //! The energy of eq. 1 for labels x ∈ {static, dynamic}^N is
 //!
-//! E(X) = Σᵢ ψᵢ(xᵢ) + Σ_{i<j} Jᵢⱼ [xᵢ ≠ xⱼ],   Jᵢⱼ = Σₘ ω^m k^m(i, j)
+//! E(X) = Σᵢ ψ_u(xᵢ) + Σ_{i<j} μ(xᵢ, xⱼ) Jᵢⱼ,   Jᵢⱼ = Σₘ ω^m k^m(i, j)
 //!
-//! and its probability exp(-E(X)) / Z. With N nodes there are 2^N labellings; for N up to 20 they can
-//! all be visited, which gives the truth that mean field approximates.
+//! and its probability exp(-E(X)) / Z. With N nodes there are 2^N labellings; for N up to 20 all of
+//! them can be visited, which gives the exact distribution that mean field approximates.
 //!
-//! Mean field looks for independent coins q that minimise the free energy
+//! Mean field looks for independent probabilities q that minimise the free energy
 //!
 //! F(q) = ⟨E⟩_q - S(q)
 //!      = Σᵢ [qᵢ ψᵢ(1) + (1 - qᵢ) ψᵢ(0) + qᵢ ln qᵢ + (1 - qᵢ) ln(1 - qᵢ)]
 //!        + Σ_{i<j} Jᵢⱼ [qᵢ (1 - qⱼ) + qⱼ (1 - qᵢ)]
 //!
-//! F(q) = -ln Z + KL(q ‖ p) ≥ -ln Z: the closer F comes to its bound, the better the coins (C3).
+//! F(q) = -ln Z + KL(q ‖ p) ≥ -ln Z: the closer F comes to its bound, the better the approximation (C3).
 //!
 //! # Example
-//! Two nodes: one is sure that it moves (u = 2), the other does not know (u = 0); they are alike.
+//! Two similar nodes: one has log-odds 2 of being dynamic, the other no evidence (0).
 //! ```
 //! use garad_core::Label::Dynamic;
-//! use garad_crf::small::SmallCrf;
+//! use garad_crf::SmallCrf;
 //! let crf = SmallCrf::from_log_odds(&[2.0, 0.0], vec![0.0, 1.0, 1.0, 0.0]).unwrap();
-//! let truth = crf.enumerate().unwrap();
-//! assert_eq!(truth.map, [Dynamic, Dynamic]);
-//! // ψ(dynamic) = -u, and differing labels cost 1. Both static: E = 0; the first alone dynamic:
+//! let exact = crf.enumerate().unwrap();
+//! assert_eq!(exact.map, [Dynamic, Dynamic]);
+//! // ψ(dynamic) = -u, and different labels cost 1. Both static: E = 0; the first alone dynamic:
 //! // -2 + 1; the second alone: 0 + 1; both: -2.
 //! let z = libm::exp(0.0) + libm::exp(1.0) + libm::exp(-1.0) + libm::exp(2.0);
-//! assert!((truth.log_z - libm::log(z)).abs() < 1e-14);
-//! // Independent coins cannot be better than -ln Z, but come close.
+//! assert!((exact.log_z - libm::log(z)).abs() < 1e-14);
+//! // F is never below -ln Z, but comes close.
 //! let mut q = vec![0.5, 0.5];
 //! for _ in 0..50 {
 //!     crf.sweep(&mut q);
 //! }
-//! let gap = crf.free_energy(&q) + truth.log_z;
+//! let gap = crf.free_energy(&q) + exact.log_z;
 //! assert!(gap > 0.0 && gap < 0.05, "{gap}");
 //! ```
 
 use garad_core::Label;
 
+use crate::config::KernelConfig;
+use crate::cues::Node;
 use crate::error::CrfError;
-use crate::mean_field::sigmoid;
+use crate::kernel::{pairwise, potts};
+use crate::sigmoid::sigmoid;
 
 /// Nodes up to which all labellings are visited.
 pub const MAX_ENUMERATED: usize = 20;
 
-/// A field with its couplings written out.
+/// A field with all its potentials written out.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SmallCrf {
     /// [ψ(static), ψ(dynamic)] of each node.
@@ -53,7 +56,7 @@ pub struct SmallCrf {
     coupling: Vec<f64>,
 }
 
-/// What all labellings together say.
+/// What the enumeration of all labellings gives.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Enumeration {
     /// The labelling of least energy; the first in binary counting order among equals.
@@ -69,12 +72,12 @@ pub struct Enumeration {
 }
 
 impl SmallCrf {
-    /// From potentials and an N x N matrix J, row by row.
+    /// From log-odds u of being dynamic, ψ(static) = 0 and ψ(dynamic) = -u, and an N x N matrix J, row by row.
     ///
     /// # Errors
     /// [`CrfError::SizeMismatch`] if J is not N x N.
-    pub fn new(potentials: Vec<[f64; 2]>, coupling: Vec<f64>) -> Result<Self, CrfError> {
-        let expected = potentials.len() * potentials.len();
+    pub fn from_log_odds(log_odds: &[f64], coupling: Vec<f64>) -> Result<Self, CrfError> {
+        let expected = log_odds.len() * log_odds.len();
         if coupling.len() != expected {
             return Err(CrfError::SizeMismatch {
                 what: "coupling",
@@ -83,17 +86,23 @@ impl SmallCrf {
             });
         }
         Ok(Self {
-            potentials,
+            potentials: log_odds.iter().map(|&u| [0.0, -u]).collect(),
             coupling,
         })
     }
 
-    /// From log-odds u of being dynamic: ψ(static) = 0, ψ(dynamic) = -u.
+    /// With the couplings of eq. 4 between `nodes`, not normalised.
     ///
     /// # Errors
-    /// As [`SmallCrf::new`].
-    pub fn from_log_odds(log_odds: &[f64], coupling: Vec<f64>) -> Result<Self, CrfError> {
-        Self::new(log_odds.iter().map(|&u| [0.0, -u]).collect(), coupling)
+    /// [`CrfError::SizeMismatch`] unless there is one number per node.
+    pub fn from_nodes(
+        nodes: &[Node],
+        log_odds: &[f64],
+        config: &KernelConfig,
+    ) -> Result<Self, CrfError> {
+        let differ = [Label::Static, Label::Dynamic];
+        let row = |a| nodes.iter().map(move |b| pairwise(differ, [a, b], config));
+        Self::from_log_odds(log_odds, nodes.iter().flat_map(row).collect())
     }
 
     /// Number of nodes.
@@ -112,17 +121,14 @@ impl SmallCrf {
         self.coupling[a * self.len() + b]
     }
 
-    /// Eq. 1. Labels beyond the number of nodes are ignored, missing ones cost nothing.
+    /// Eq. 1: E(X) = Σᵢ ψ_u(xᵢ) + Σ_{i<j} ψ_p(xᵢ, xⱼ), nat, for one label per node.
     #[must_use]
-    pub fn energy(&self, labels: &[Label]) -> f64 {
-        let n = self.len().min(labels.len());
+    pub fn energy(&self, x: &[Label]) -> f64 {
         let mut energy = 0.0;
-        for i in 0..n {
-            energy += self.potentials[i][usize::from(labels[i] == Label::Dynamic)];
-            for j in i + 1..n {
-                if labels[i] != labels[j] {
-                    energy += self.j(i, j);
-                }
+        for i in 0..self.len() {
+            energy += self.potentials[i][usize::from(x[i] == Label::Dynamic)];
+            for j in i + 1..self.len() {
+                energy += potts(x[i], x[j]) * self.j(i, j);
             }
         }
         energy
@@ -140,7 +146,7 @@ impl SmallCrf {
                 limit: MAX_ENUMERATED,
             });
         }
-        let labels_of = |code: u32| -> Vec<Label> {
+        let labels_of = |code: usize| -> Vec<Label> {
             let label = |i| {
                 if code >> i & 1 == 1 {
                     Label::Dynamic
@@ -150,7 +156,7 @@ impl SmallCrf {
             };
             (0..n).map(label).collect()
         };
-        let energies: Vec<f64> = (0..1u32 << n)
+        let energies: Vec<f64> = (0..1usize << n)
             .map(|code| self.energy(&labels_of(code)))
             .collect();
         let (mut best, mut second_energy) = (0, f64::INFINITY);
@@ -176,7 +182,7 @@ impl SmallCrf {
             }
         }
         Ok(Enumeration {
-            map: labels_of(u32::try_from(best).unwrap_or_default()),
+            map: labels_of(best),
             map_energy,
             second_energy,
             log_z: libm::log(z) - map_energy,
@@ -187,7 +193,7 @@ impl SmallCrf {
     /// F(q), nat. 0 ln 0 = 0.
     #[must_use]
     pub fn free_energy(&self, q: &[f64]) -> f64 {
-        let n = self.len().min(q.len());
+        let n = self.len();
         let entropy = |p: f64| if p > 0.0 { p * libm::log(p) } else { 0.0 };
         let mut free = 0.0;
         for i in 0..n {
@@ -201,10 +207,10 @@ impl SmallCrf {
         free
     }
 
-    /// One sequential update of all coins, each seeing what those before it have become. Each is the
-    /// minimum of F along its coordinate, so F never rises (parallel updates promise no such thing).
+    /// One sequential update of all q, each from the latest values of the others. Each is the
+    /// minimum of F along its coordinate, so F never rises (parallel updates do not guarantee this).
     pub fn sweep(&self, q: &mut [f64]) {
-        let n = self.len().min(q.len());
+        let n = self.len();
         for i in 0..n {
             let [psi_static, psi_dynamic] = self.potentials[i];
             let mut logit = psi_static - psi_dynamic;
@@ -252,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn without_coupling_coins_are_exact() {
+    fn without_coupling_mean_field_is_exact() {
         let crf = pair([3.0, -1.0], 0.0);
         let mut q = vec![0.5, 0.5];
         crf.sweep(&mut q);
@@ -262,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn certain_coins_have_no_entropy() {
+    fn certain_labels_have_no_entropy() {
         let crf = pair([3.0, -1.0], 0.5);
         assert!((crf.free_energy(&[1.0, 0.0]) + 2.5).abs() < 1e-15, "F = E");
     }
@@ -271,12 +277,12 @@ mod tests {
     fn sizes_are_checked() {
         assert!(
             matches!(
-                SmallCrf::new(vec![[0.0; 2]; 3], vec![0.0; 8]),
+                SmallCrf::from_log_odds(&[0.0; 3], vec![0.0; 8]),
                 Err(CrfError::SizeMismatch { expected: 9, .. })
             ),
             "J"
         );
-        let large = SmallCrf::new(vec![[0.0; 2]; 21], vec![0.0; 441]).expect("21 x 21");
+        let large = SmallCrf::from_log_odds(&[0.0; 21], vec![0.0; 441]).expect("21 x 21");
         assert!(
             matches!(
                 large.enumerate(),
@@ -284,7 +290,7 @@ mod tests {
             ),
             "2^21"
         );
-        let empty = SmallCrf::new(vec![], vec![])
+        let empty = SmallCrf::from_log_odds(&[], vec![])
             .expect("0 x 0")
             .enumerate()
             .expect("one labelling");

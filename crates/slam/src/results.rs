@@ -1,0 +1,151 @@
+//! What a run gives: its path, maps and labels, its trace, and the training after the last frame.
+
+use std::ops::RangeInclusive;
+
+use garad_core::{Camera, GaussianMap, StampedPose};
+
+use crate::config::Config;
+use crate::frame::Frame;
+use crate::io::{LabelledFrame, ReplayedFrame, SlamError};
+use crate::keyframing::loop_closing::LoopClosure;
+use crate::map::Map;
+use crate::mapping::job::MappingDone;
+use crate::mapping::mapper::Mapper;
+use crate::mapping::train::TrainStep;
+use crate::mapping::worker::MappingObserver;
+use crate::pipeline::Slam;
+use crate::trace::TraceRecord;
+
+impl Slam {
+    /// Observes the mapper's stages, from whatever thread it runs in. To be called before the first
+    /// frame.
+    #[must_use]
+    pub fn with_mapping_observer(mut self, observer: MappingObserver) -> Self {
+        self.mapping.observe(observer);
+        self
+    }
+
+    /// Records the inputs and outputs of every stage of these frames. To be called before
+    /// the first frame. Nothing of the result changes.
+    #[must_use]
+    pub fn with_trace(mut self, frames: RangeInclusive<u32>) -> Self {
+        self.record_frames(Some(frames));
+        self
+    }
+
+    /// The trace so far, tracking and mapping of each frame together, in the order of the data. What
+    /// the mapper recorded is missing while it is under way: call [`Slam::finish`] before.
+    pub fn take_trace(&mut self) -> Vec<TraceRecord> {
+        let mut records = self.recorder.take();
+        let of_mapper = self.mapping.mapper_mut().map(Mapper::take_trace);
+        records.extend(of_mapper.unwrap_or_default());
+        records.sort_by_key(|record| record.frame); // stable
+        records
+    }
+
+    /// Whether the run may still restart.
+    #[must_use]
+    pub fn may_restart(&self) -> bool {
+        self.dynamics.may_restart()
+    }
+
+    /// The outcome of the first frames when they were processed again; empty but for once, after the
+    /// last of them. The frame just given is not among them: its report is the answer to it.
+    pub fn take_replayed(&mut self) -> Vec<ReplayedFrame> {
+        std::mem::take(&mut self.replayed)
+    }
+
+    /// Takes over every mapping job under way. From here until the next keyframe
+    /// [`Slam::gaussians`] has an answer.
+    ///
+    /// # Errors
+    /// [`SlamError::MappingLost`].
+    pub fn finish(&mut self) -> Result<(), SlamError> {
+        self.mapping.finish()
+    }
+
+    /// Trains the map on the keyframes' images for `config.train.final_iterations` iterations, after
+    /// the last frame; `on_step` is told of each. Gaussians that have faded are pruned.
+    ///
+    /// # Errors
+    /// [`SlamError::Train`]; the map is then as it was after the last good iteration.
+    /// [`SlamError::MappingLost`].
+    pub fn train_final(&mut self, on_step: &mut dyn FnMut(&TrainStep)) -> Result<(), SlamError> {
+        self.finish()?;
+        let poses = self.map.keyframe_poses();
+        let iterations = self.context.config.train.final_iterations;
+        let mapper = self.mapping.mapper_mut().ok_or(SlamError::MappingLost)?;
+        Ok(mapper.train_final(iterations, poses, on_step)?)
+    }
+
+    /// The path so far: every tracked frame, moved along with its adjusted keyframe.
+    #[must_use]
+    pub fn trajectory(&self) -> Vec<StampedPose> {
+        self.trajectory.stamped(&self.map)
+    }
+
+    /// The keyframes' poses.
+    #[must_use]
+    pub fn keyframe_trajectory(&self) -> Vec<StampedPose> {
+        let pose = |k: &Frame| StampedPose {
+            t_s: k.t_s,
+            world_from_camera: k.camera_from_world.inverse(),
+        };
+        self.map.keyframes().iter().map(pose).collect()
+    }
+
+    /// Landmarks and keyframes.
+    #[must_use]
+    pub fn map(&self) -> &Map {
+        &self.map
+    }
+
+    /// The map of Gaussians; `None` while jobs are under way in another thread: call
+    /// [`Slam::finish`] before.
+    #[must_use]
+    pub fn gaussians(&self) -> Option<&GaussianMap> {
+        self.mapping.mapper().map(Mapper::gaussians)
+    }
+
+    /// The mapping jobs handed over so far.
+    #[must_use]
+    pub fn mapped(&self) -> &[MappingDone] {
+        self.mapping.done()
+    }
+
+    /// The loops that were closed, oldest first.
+    #[must_use]
+    pub fn loops(&self) -> &[LoopClosure] {
+        self.keyframing.loops.closed()
+    }
+
+    /// The last tracked frame, with the landmarks its keypoints were linked to.
+    #[must_use]
+    pub fn last_frame(&self) -> Option<&Frame> {
+        self.tracker.last()
+    }
+
+    /// What moves in the last frame; `None` if it was not labelled: lost, bootstrap, or a mask given.
+    #[must_use]
+    pub fn labelled_frame(&self) -> Option<&LabelledFrame> {
+        self.labelled.as_ref()
+    }
+
+    /// The camera.
+    #[must_use]
+    pub fn camera(&self) -> &Camera {
+        &self.context.camera
+    }
+
+    /// The configuration.
+    #[must_use]
+    pub fn config(&self) -> &Config {
+        &self.context.config
+    }
+
+    /// The seed of every random draw.
+    #[must_use]
+    pub fn seed(&self) -> u64 {
+        self.context.rng_seed
+    }
+}
