@@ -32,3 +32,8 @@ pub mod source;
 pub mod stopwatch;
 pub mod trace;
 pub mod usage;
+
+/// The program in the README compiles and runs.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct ReadmeDoctests;

@@ -1,5 +1,5 @@
-//! The book holds to the code: every file, test, golden case, link and picture that a chapter names is
-//! there, and the examples run.
+//! The documents against the code: every file, function, test, golden case, link and image named in them exists, and the
+//! examples run.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -17,7 +17,7 @@ use garad_raster::losses::opacity_penalty;
 use garad_raster::{RenderOptions, render};
 use nalgebra::Vector3;
 
-const MAX_PICTURES_BYTES: u64 = 3 * 1024 * 1024;
+const MAX_IMAGES_BYTES: u64 = 3 * 1024 * 1024;
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -54,7 +54,49 @@ fn chapters() -> Vec<(String, String)> {
     pages
 }
 
-/// What stands between backticks, blocks of code left out.
+/// Every file below a folder with one of these endings; build outputs and hidden folders are left out.
+fn files_below(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("readable").path();
+        let name = path.file_name().expect("a name").to_string_lossy();
+        let is_wanted = |ending: &&str| path.extension().is_some_and(|e| e == *ending);
+        if path.is_dir() && !name.starts_with('.') && !["target", "out"].contains(&&*name) {
+            found.extend(files_below(&path, endings));
+        } else if path.is_file() && endings.iter().any(is_wanted) {
+            found.push(path);
+        }
+    }
+    found.sort();
+    found
+}
+
+/// Path below the root and text of every Markdown file.
+fn documents() -> Vec<(String, String)> {
+    let files = files_below(root(), &["md"]);
+    let named = files.into_iter().map(|path| {
+        let name = path.strip_prefix(root()).expect("below the root");
+        (name.to_string_lossy().into_owned(), read(&path))
+    });
+    let documents: Vec<_> = named.collect();
+    assert!(documents.len() >= 40, "only {} documents", documents.len());
+    documents
+}
+
+/// All Rust code, in one string.
+fn rust_code() -> String {
+    let folders = ["crates", "src", "tests", "benches", "examples"];
+    let files = folders.map(|folder| files_below(&root().join(folder), &["rs"]));
+    files.concat().iter().map(|path| read(path)).collect()
+}
+
+fn has_function(code: &str, name: &str) -> bool {
+    ["(", "<"]
+        .iter()
+        .any(|end| code.contains(&format!("fn {name}{end}")))
+}
+
+/// What is between backticks, blocks of code left out.
 fn quoted(text: &str) -> Vec<&str> {
     let prose = text.split("```").step_by(2);
     prose
@@ -62,7 +104,7 @@ fn quoted(text: &str) -> Vec<&str> {
         .collect()
 }
 
-/// Link targets, those of pictures included.
+/// Link targets, those of images included.
 fn links(text: &str) -> Vec<&str> {
     let prose = text.split("```").step_by(2);
     prose
@@ -101,20 +143,147 @@ fn none(problems: &[String]) {
     assert!(problems.is_empty(), "\n{}", problems.join("\n"));
 }
 
+/// In the history of changes old names are right; two documents leave out `crates/slam/src`.
 #[test]
 fn files_that_are_named_exist() {
     let mut problems = Vec::new();
-    for (page, text) in pages() {
-        for name in quoted(&text)
-            .into_iter()
-            .filter(|name| is_file_of_code(name))
-        {
-            if !root().join(name).is_file() {
+    for (page, text) in documents() {
+        if page == "CHANGELOG.md" {
+            continue;
+        }
+        let folder = match page.as_str() {
+            "docs/paper_map.md" | "ARCHITECTURE.md" => root().join("crates/slam/src"),
+            _ => root().join(&page).parent().expect("a folder").to_owned(),
+        };
+        let is_named = |name: &&str| is_file_of_code(name) && !name.contains(['{', '*', ' ', '$']);
+        for name in quoted(&text).into_iter().filter(is_named) {
+            if !root().join(name).is_file() && !folder.join(name).is_file() {
                 problems.push(format!("{page}: no file {name}"));
             }
         }
     }
     none(&problems);
+}
+
+/// The cells of each row of the tables under a heading, the rows of titles left out.
+fn table(text: &str, heading: &str) -> Vec<Vec<String>> {
+    let body = section(text, heading).unwrap_or_else(|| panic!("no section {heading:?}"));
+    let rows = body.lines().filter(|line| line.starts_with("| "));
+    let cells = rows.map(|row| row.split('|').map(|cell| cell.trim().to_owned()).collect());
+    let all: Vec<Vec<String>> = cells.collect();
+    assert!(all.len() > 10, "{heading}: only {} rows", all.len());
+    all[1..].to_vec()
+}
+
+/// A path of the map from the paper.
+fn path_of_map(name: &str) -> PathBuf {
+    let below = [root().join(name), root().join("crates/slam/src").join(name)];
+    let found = below.iter().find(|path| path.exists());
+    found
+        .cloned()
+        .unwrap_or_else(|| panic!("paper_map.md: no {name}"))
+}
+
+/// The documentation of a function: the lines of comment right above it.
+fn documentation(code: &str, name: &str) -> Option<String> {
+    let lines: Vec<&str> = code.lines().collect();
+    let at = lines.iter().position(|line| has_function(line, name))?;
+    let above = lines[..at].iter().rev().map(|line| line.trim_start());
+    let block = above.take_while(|line| line.starts_with("///") || line.starts_with("#["));
+    Some(block.collect::<Vec<_>>().join("\n"))
+}
+
+/// Each equation has a row; its functions are in the files named before them, and their documentation says `Eq. N`.
+#[test]
+fn equations_have_functions_that_say_so() {
+    let mut problems = Vec::new();
+    let mut equations = BTreeSet::new();
+    for row in table(&read(&root().join("docs/paper_map.md")), "Equations") {
+        let (number, functions) = (&row[1], &row[4]);
+        if number.is_empty() || !number.chars().all(|c| c.is_ascii_digit()) {
+            continue;
+        }
+        let (mut code, mut named) = (String::new(), false);
+        for name in quoted(functions) {
+            if is_file_of_code(name) {
+                code = read(&path_of_map(name));
+                continue;
+            }
+            let Some(says) = documentation(&code, name) else {
+                problems.push(format!("eq. {number}: no function {name}"));
+                continue;
+            };
+            let numbers = says.to_lowercase();
+            let mut after = numbers.split("eq. ").skip(1);
+            named |= after.any(|rest| {
+                let digits = rest.find(|c: char| !c.is_ascii_digit());
+                rest[..digits.unwrap_or(rest.len())] == **number
+            });
+        }
+        if !named {
+            problems.push(format!("eq. {number}: no function says Eq. {number}"));
+        }
+        equations.insert(number.clone());
+    }
+    none(&problems);
+    let expected = [1, 2, 3, 4, 5, 6, 7, 9, 10, 11, 12, 13, 15, 16].map(|n: u32| n.to_string());
+    assert_eq!(equations, expected.into(), "one row per equation");
+}
+
+/// Every path, test and golden stage of the map from the paper.
+#[test]
+fn the_map_from_the_paper_names_what_exists() {
+    let (map, code) = (read(&root().join("docs/paper_map.md")), rust_code());
+    let mut problems = Vec::new();
+    let rows = |heading, columns: [usize; 3]| {
+        let rows = table(&map, heading).into_iter();
+        rows.map(move |row| columns.map(|column| row[column].clone()))
+    };
+    for [paths, tests, stages] in rows("Equations", [5, 6, 7]).chain(rows("Sections", [3, 4, 5])) {
+        let is_path = |name: &&str| is_file_of_code(name) || name.contains('/');
+        for name in quoted(&paths).into_iter().filter(is_path) {
+            path_of_map(name);
+        }
+        for name in quoted(&tests) {
+            if !code.contains(&format!("fn {name}(")) {
+                problems.push(format!("no test {name}"));
+            }
+        }
+        for name in quoted(&stages) {
+            if !STAGES.iter().any(|stage| stage.name == name) {
+                problems.push(format!("no golden stage {name}"));
+            }
+        }
+    }
+    none(&problems);
+}
+
+/// A derivation names the function or the module that computes it, behind a dash in its title.
+#[test]
+fn derivations_name_functions() {
+    let (code, mut problems, mut names) = (rust_code(), Vec::new(), 0);
+    let files = files_below(&root().join("crates"), &["rs"]);
+    for page in ["docs/math.md", "docs/math_crf.md"] {
+        let text = read(&root().join(page));
+        for title in text.lines().filter(|line| line.starts_with("### ")) {
+            let (_, named) = title.split_once(" — ").unwrap_or((title, ""));
+            for name in quoted(named) {
+                names += 1;
+                let last = name.rsplit("::").next().expect("a name");
+                let is_module = |path: &PathBuf| path.file_stem().is_some_and(|stem| stem == last);
+                let is_module_folder = |path: &PathBuf| path.ends_with(format!("{last}/mod.rs"));
+                let is_type = code.contains(&format!("struct {last}"));
+                let module = files
+                    .iter()
+                    .any(|path| is_module(path) || is_module_folder(path));
+                if !(module || is_type || has_function(&code, last)) {
+                    problems.push(format!("{page}: {title:?} names no code"));
+                }
+            }
+        }
+    }
+    none(&problems);
+    assert!(names > 40, "only {names} names");
 }
 
 /// A line under "Pinned by" names a file and tests in it (several, parted by semicolons), or golden
@@ -124,7 +293,7 @@ fn tests_and_golden_cases_that_are_named_exist() {
     let (mut problems, mut tests, mut cases) = (Vec::new(), 0, BTreeSet::new());
     for (page, text) in chapters() {
         let Some(pinned) = section(&text, "Pinned by") else {
-            problems.push(format!("{page}: says nothing of what pins it"));
+            problems.push(format!("{page}: no section \"Pinned by\""));
             continue;
         };
         for part in pinned.split("\n- ").flat_map(|item| item.split(';')) {
@@ -159,30 +328,35 @@ fn tests_and_golden_cases_that_are_named_exist() {
 }
 
 #[test]
-fn links_lead_somewhere() {
+fn links_have_targets() {
     let mut problems = Vec::new();
-    for (page, text) in pages() {
+    for (page, text) in documents() {
         for link in links(&text) {
             let local = link.split('#').next().unwrap_or_default();
             if link.starts_with("https://") || local.is_empty() {
                 continue;
             }
-            let target = tidy(&source().join(local));
-            if !target.starts_with(root()) || !target.is_file() {
-                problems.push(format!("{page}: {link} leads nowhere"));
+            let folder = root().join(&page).parent().expect("a folder").to_owned();
+            let target = tidy(&folder.join(local));
+            if !target.starts_with(root()) || !target.exists() {
+                problems.push(format!("{page}: {link} has no target"));
             }
         }
     }
     none(&problems);
 }
 
+/// Every document below docs, once, under its own title.
+
 #[test]
-fn the_summary_lists_every_chapter_once() {
+fn the_summary_lists_every_document_once() {
     let summary = read(&root().join("docs/SUMMARY.md"));
     let listed = links(&summary);
     let mut problems = Vec::new();
-    for (page, text) in pages() {
-        let path = format!("book/src/{page}");
+    for (page, text) in documents() {
+        let Some(path) = page.strip_prefix("docs/").filter(|p| *p != "SUMMARY.md") else {
+            continue;
+        };
         let times = listed.iter().filter(|link| **link == path).count();
         if times != 1 {
             problems.push(format!("{page}: {times} times in the summary"));
@@ -215,22 +389,19 @@ fn chapters_have_their_parts() {
 }
 
 #[test]
-fn pictures_are_there_small_and_used() {
+fn images_exist_are_small_and_used() {
     let all: String = pages().into_iter().map(|(_, text)| text).collect();
     let mut bytes = 0;
-    for entry in fs::read_dir(source().join("images")).expect("pictures") {
+    for entry in fs::read_dir(source().join("images")).expect("images") {
         let path = entry.expect("readable").path();
         let name = path.file_name().expect("a name").to_string_lossy();
         assert!(all.contains(&format!("](images/{name})")), "{name}: unused");
-        let picture = fs::read(&path).expect("readable");
-        assert!(
-            image::load_from_memory(&picture).is_ok(),
-            "{name}: no picture"
-        );
-        bytes += picture.len() as u64;
+        let file = fs::read(&path).expect("readable");
+        assert!(image::load_from_memory(&file).is_ok(), "{name}: no image");
+        bytes += file.len() as u64;
     }
-    assert!(bytes > 0, "no picture at all");
-    assert!(bytes <= MAX_PICTURES_BYTES, "{bytes} bytes of pictures");
+    assert!(bytes > 0, "no image at all");
+    assert!(bytes <= MAX_IMAGES_BYTES, "{bytes} bytes of images");
 }
 
 fn near(got: f64, expected: f64, what: &str) {
@@ -242,9 +413,9 @@ fn near(got: f64, expected: f64, what: &str) {
     );
 }
 
-/// What is worked out by hand in the first half of the book and is no test elsewhere.
+/// The examples by hand of the first half of the book that are no test elsewhere.
 #[test]
-fn examples_by_hand_of_pictures_and_poses() {
+fn examples_by_hand_of_images_and_poses() {
     let camera = Camera::pinhole((640, 480), [525.0, 525.0, 319.5, 239.5]).expect("a camera");
     let p = Vector3::new(0.2, -0.1, 2.0);
     for (level, expected) in [(0, [372.0, 213.25]), (1, [186.0, 106.625])] {
@@ -258,9 +429,9 @@ fn examples_by_hand_of_pictures_and_poses() {
         "x goes to y: {turned}"
     );
 
-    let mut picture = GrayImage::new(16, 16, 0);
-    picture[(4, 4)] = 255;
-    let half = halve(&picture);
+    let mut image = GrayImage::new(16, 16, 0);
+    image[(4, 4)] = 255;
+    let half = halve(&image);
     assert_eq!((half[(2, 2)], half[(1, 2)]), (36, 6), "one white pixel");
 
     let mut corner = GrayImage::new(7, 7, 100);
@@ -316,7 +487,7 @@ fn examples_by_hand_of_splats_and_losses() {
     let draw = |map: &GaussianMap<f64>, size, k: [f64; 4]| {
         let camera = Camera::pinhole(size, k).expect("a camera");
         let drawn = render(map, &camera, &Se3::identity(), &options, Par::Seq);
-        drawn.expect("a picture").projected[0]
+        drawn.expect("an image").projected[0]
     };
     let splat = draw(&map, (24, 18), [25.0, 27.0, 11.5, 8.5]);
     near(splat.mean_px[0], 12.333, "u");
@@ -337,10 +508,17 @@ fn examples_by_hand_of_splats_and_losses() {
     assert_eq!(round.radius_px, 16, "its radius");
 
     let penalty = opacity_penalty(&[3.0f64], &[Label::Dynamic]).expect("one label each");
-    near(penalty.opacity_logits[0], 0.086, "pull on an opaque one");
+    near(
+        penalty.opacity_logits[0],
+        0.086,
+        "gradient of an opaque one",
+    );
     let [large, one] = [1e8f32, 1.0];
     let sums = [(large + one) - large, (large - large) + one];
-    assert!(sums[0] < 0.5 && sums[1] > 0.5, "the order counts: {sums:?}");
+    assert!(
+        sums[0] < 0.5 && sums[1] > 0.5,
+        "the order matters: {sums:?}"
+    );
 }
 
 /// Runs an example of this package, built as the tests are; what it printed.
@@ -362,14 +540,14 @@ fn run_example(name: &str, args: &[&str]) -> String {
 /// The last number of the line that holds `words`.
 fn number_after(text: &str, words: &str) -> f64 {
     let line = text.lines().find(|line| line.contains(words));
-    let line = line.unwrap_or_else(|| panic!("nobody says {words:?}:\n{text}"));
+    let line = line.unwrap_or_else(|| panic!("no line with {words:?}:\n{text}"));
     let rest = line.split(words).nth(1).unwrap_or_default();
     let word = rest.split_whitespace().next().unwrap_or_default();
     let number = word.trim_end_matches([',', ':']).parse();
     number.unwrap_or_else(|_| panic!("no number after {words:?}:\n{text}"))
 }
 
-/// The numbers in a text. Superscripts stand for themselves, ½ for 0.5.
+/// The numbers in a text. A superscript is a number of its own, ½ is 0.5.
 fn numbers(text: &str) -> Vec<f64> {
     let mut plain = String::new();
     let mut raised = false;
@@ -419,8 +597,8 @@ fn code_of(python: &str) -> String {
     code.collect::<Vec<_>>().join("\n")
 }
 
-/// The port in numpy is written by the book alone: each of its thresholds, factors and taps stands in the chapters
-/// that its file belongs to. Numbers below 10 without a fraction are indices as often as not.
+/// The port in numpy is written from the book alone: each of its thresholds, factors and taps is in the chapters
+/// of its file. Numbers below 10 without a fraction are indices as often as not.
 #[test]
 fn the_book_states_every_number_of_the_example_port() {
     let mut problems = Vec::new();
@@ -451,7 +629,7 @@ fn the_book_states_every_number_of_the_example_port() {
 }
 
 #[test]
-fn the_examples_run_and_say_what_they_should() {
+fn the_examples_run_and_print_what_they_should() {
     let text = run_example("track_two_frames", &[]);
     assert!(
         number_after(&text, "with depth,") > 150.0,
@@ -489,19 +667,19 @@ fn the_examples_run_and_say_what_they_should() {
     assert!(text.contains("120 of them visible"), "{text}");
     assert!(
         text.lines().any(|line| line.contains('@')),
-        "a picture:\n{text}"
+        "an image:\n{text}"
     );
 }
 
-/// The committed pictures are those that today's code draws, byte for byte (ten seconds in release).
+/// The committed images are those of today's code, byte for byte (ten seconds in release).
 #[test]
-fn extensive_pictures_are_drawn_by_the_code() {
+fn extensive_images_are_those_of_the_code() {
     if std::env::var_os("GARAD_EXTENSIVE").is_none() {
         return;
     }
     let folder = tempfile::tempdir().expect("a folder");
     run_example("book_pictures", &[folder.path().to_str().expect("UTF-8")]);
-    for entry in fs::read_dir(source().join("images")).expect("pictures") {
+    for entry in fs::read_dir(source().join("images")).expect("images") {
         let name = entry.expect("readable").file_name();
         let fresh = fs::read(folder.path().join(&name)).expect("drawn");
         let committed = fs::read(source().join("images").join(&name)).expect("readable");
