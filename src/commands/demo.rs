@@ -33,18 +33,18 @@ const AHEAD: usize = 2;
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     let mut options = args.common.run_options(false)?;
-    if args.common.refine.is_none() && args.common.config.is_none() {
+    if args.common.refine.is_none() && args.common.pipeline.config.is_none() {
         options.config.train.final_iterations = REFINE;
     }
     let scene = Scene::new(&SceneConfig {
         frames: args.frames,
         noise: true,
-        seed: args.common.seed.wrapping_add(1),
+        seed: options.seed.wrapping_add(1),
         ..SceneConfig::new(args.scene)
     })?;
     let name = format!("demo_{}", args.scene);
     let out = args.common.out_folder(&name)?;
-    if !args.common.quiet {
+    if !options.quiet {
         let labels = if args.oracle_labels {
             "true labels of the scene"
         } else if options.config.labels.enabled {

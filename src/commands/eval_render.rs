@@ -9,7 +9,7 @@ use garad_dataset::write_bytes_atomically;
 use garad_eval::{Metrics, RenderMetrics};
 
 use super::input::{InputArgs, Masks, frames};
-use super::{read_poses, say};
+use super::{WorkArgs, read_poses, say};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -23,12 +23,8 @@ pub(crate) struct Args {
     /// has any.
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
-    /// Threads.
-    #[arg(long, default_value_t = super::default_threads())]
-    threads: usize,
-    /// No progress.
-    #[arg(long)]
-    quiet: bool,
+    #[command(flatten)]
+    work: WorkArgs,
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
@@ -44,8 +40,8 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         &dataset.calibration().camera,
         &trajectory,
         frames(&dataset, None, masks.as_ref()),
-        Par::new(args.threads),
-        args.quiet,
+        Par::new(args.work.threads),
+        args.work.quiet,
     )?;
     let row = |m: &RenderMetrics| match (m.psnr_db, m.ssim) {
         (Some(psnr), Some(ssim)) => format!("PSNR {psnr:.2} dB  SSIM {ssim:.4}"),

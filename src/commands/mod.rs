@@ -21,30 +21,60 @@ pub(crate) use garad::output::make_folder;
 use garad::run::RunOptions;
 use garad_core::StampedPose;
 
-/// Options shared by `run`, `demo` and `ablate`.
+/// Options of every command that computes.
 #[derive(Debug, Args)]
-pub(crate) struct CommonArgs {
-    /// Folder for the results.
-    #[arg(short = 'o', long = "out", value_name = "DIR")]
-    pub(crate) out: Option<PathBuf>,
-    /// Threads; the result has the same bits for any number.
+pub(crate) struct WorkArgs {
+    /// Threads; results have the same bits for any number.
     #[arg(long, default_value_t = default_threads(), value_parser = threads())]
     pub(crate) threads: usize,
+    /// No progress, only results.
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
+/// Options of every command that runs the pipeline.
+#[derive(Debug, Args)]
+pub(crate) struct PipelineArgs {
+    #[command(flatten)]
+    pub(crate) work: WorkArgs,
     /// Seed of everything random.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,
     /// Configuration file; keys that are not given keep their defaults.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
+}
+
+impl PipelineArgs {
+    /// Options of the run.
+    pub(crate) fn run_options(&self, strict: bool) -> Result<RunOptions> {
+        Ok(RunOptions {
+            config: match &self.config {
+                Some(path) => garad::config_file::read(path)?,
+                None => garad_slam::Config::default(),
+            },
+            threads: self.work.threads,
+            seed: self.seed,
+            strict,
+            quiet: self.work.quiet,
+        })
+    }
+}
+
+/// Options shared by `run`, `demo` and `ablate`.
+#[derive(Debug, Args)]
+pub(crate) struct CommonArgs {
+    /// Folder for the results.
+    #[arg(short = 'o', long = "out", value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) pipeline: PipelineArgs,
     /// Train the map for this many iterations after the last frame.
     #[arg(long, value_name = "N")]
     pub(crate) refine: Option<usize>,
     /// Leave a part out (paper, Table III); may be given more than once.
     #[arg(long, value_enum, value_name = "PART")]
     pub(crate) without: Vec<Part>,
-    /// No progress, only results.
-    #[arg(long)]
-    pub(crate) quiet: bool,
 }
 
 /// Parts that can be left out.
@@ -93,23 +123,14 @@ impl CommonArgs {
 
     /// Options of the run.
     pub(crate) fn run_options(&self, strict: bool) -> Result<RunOptions> {
-        let mut config = match &self.config {
-            Some(path) => garad::config_file::read(path)?,
-            None => garad_slam::Config::default(),
-        };
+        let mut options = self.pipeline.run_options(strict)?;
         if let Some(iterations) = self.refine {
-            config.train.final_iterations = iterations;
+            options.config.train.final_iterations = iterations;
         }
         for part in &self.without {
-            part.leave_out(&mut config);
+            part.leave_out(&mut options.config);
         }
-        Ok(RunOptions {
-            config,
-            threads: self.threads,
-            seed: self.seed,
-            strict,
-            quiet: self.quiet,
-        })
+        Ok(options)
     }
 }
 

@@ -11,7 +11,7 @@ use garad_dataset::{Calibration, Preset};
 use garad_raster::{Include, RenderOptions, fast};
 use nalgebra::Vector3;
 
-use super::{make_folder, read_poses, say};
+use super::{WorkArgs, make_folder, read_poses, say};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -42,12 +42,8 @@ pub(crate) struct Args {
     /// Which Gaussians.
     #[arg(long, value_enum, default_value_t = Which::All)]
     include: Which,
-    /// Threads.
-    #[arg(long, default_value_t = super::default_threads(), value_parser = super::threads())]
-    threads: usize,
-    /// No progress.
-    #[arg(long)]
-    quiet: bool,
+    #[command(flatten)]
+    work: WorkArgs,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -98,7 +94,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         },
         ..RenderOptions::default()
     };
-    let mut progress = Progress::new("drawing", poses.len(), args.quiet);
+    let mut progress = Progress::new("drawing", poses.len(), args.work.quiet);
     for (i, pose) in poses.iter().enumerate() {
         let camera_from_world = pose.world_from_camera.inverse();
         let rendered = fast::render(
@@ -106,7 +102,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             &camera,
             &camera_from_world,
             &options,
-            Par::new(args.threads),
+            Par::new(args.work.threads),
         )?;
         for what in &args.what {
             let (name, image) = match what {
@@ -123,7 +119,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         progress.step("");
     }
     progress.finish();
-    if !args.quiet {
+    if !args.work.quiet {
         let (n, count) = (map.len(), poses.len());
         say(&format!(
             "{count} pose(s), {n} Gaussians, images in {}",

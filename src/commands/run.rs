@@ -60,7 +60,7 @@ const SKIPPED_SHOWN: usize = 5;
 pub(crate) fn run(args: &Args) -> Result<()> {
     let run_options = args.common.run_options(args.input.strict)?;
     let dataset = args.input.open(&args.dataset)?;
-    if !args.common.quiet {
+    if !run_options.quiet {
         say(&format!(
             "{}: {} frames, camera from {}",
             dataset.name(),

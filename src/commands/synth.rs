@@ -10,7 +10,7 @@ use garad_dataset::write_bytes_atomically;
 use garad_golden::{Dtype, Tensor, npy};
 use garad_synth::{Scene, SceneConfig, SceneName};
 
-use super::{make_folder, say};
+use super::{WorkArgs, make_folder, say};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -42,12 +42,8 @@ pub(crate) struct Args {
     /// Seed of textures, motion and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Threads.
-    #[arg(long, default_value_t = super::default_threads(), value_parser = super::threads())]
-    threads: usize,
-    /// No progress.
-    #[arg(long)]
-    quiet: bool,
+    #[command(flatten)]
+    work: WorkArgs,
 }
 
 /// Images are named by their time with six decimals; higher rates would give two images one name.
@@ -84,8 +80,8 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     }
     let mut lists = Lists::default();
     let mut poses = Vec::new();
-    let par = Par::new(args.threads);
-    let mut progress = Progress::new("drawing", scene.len(), args.quiet);
+    let par = Par::new(args.work.threads);
+    let mut progress = Progress::new("drawing", scene.len(), args.work.quiet);
     for i in 0..scene.len() {
         let frame = scene.frame(i, par);
         let stamp = format!("{:.6}", frame.t_s);
@@ -114,7 +110,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         c.width, c.height, c.fx, c.fy, c.cx, c.cy, args.fps
     );
     write_bytes_atomically(&args.out.join("camera.txt"), camera.as_bytes())?;
-    if !args.quiet {
+    if !args.work.quiet {
         let frames = scene.len();
         say(&format!(
             "{}: {frames} frames of {}",

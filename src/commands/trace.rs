@@ -12,7 +12,7 @@ use garad_golden::trace::diff::{Judge, diff};
 use serde_json::json;
 
 use super::input::{InputArgs, Masks, frames};
-use super::{make_folder, say};
+use super::{PipelineArgs, make_folder, say};
 
 /// Exit code when two traces differ.
 const DIFFER: u8 = 1;
@@ -38,21 +38,11 @@ struct Record {
     /// Folder for the trace.
     #[arg(short = 'o', long = "out", value_name = "DIR", required = true)]
     out: Option<PathBuf>,
-    /// Threads; the trace has the same bits for any number.
-    #[arg(long, default_value_t = super::default_threads(), value_parser = super::threads())]
-    threads: usize,
-    /// Seed of everything random.
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
-    /// Configuration file; keys that are not given keep their defaults.
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
+    #[command(flatten)]
+    pipeline: PipelineArgs,
     /// Masks used instead of computed labels, as for `run`.
     #[arg(long, value_name = "DIR")]
     oracle_labels: Option<PathBuf>,
-    /// No progress.
-    #[arg(long)]
-    quiet: bool,
     #[command(flatten)]
     input: InputArgs,
 }
@@ -103,17 +93,7 @@ fn record(args: &Record) -> Result<()> {
     else {
         bail!("expected a recording, --frames and --out");
     };
-    let config = match &args.config {
-        Some(path) => garad::config_file::read(path)?,
-        None => garad_slam::Config::default(),
-    };
-    let options = garad::run::RunOptions {
-        config,
-        threads: args.threads,
-        seed: args.seed,
-        strict: args.input.strict,
-        quiet: args.quiet,
-    };
+    let options = args.pipeline.run_options(args.input.strict)?;
     let dataset = args.input.open(path)?;
     if *range.start() as usize >= dataset.len() {
         bail!(
@@ -142,7 +122,7 @@ fn record(args: &Record) -> Result<()> {
         "program": concat!("garad ", env!("CARGO_PKG_VERSION")),
         "recording": dataset.name(),
         "frames": [range.start(), range.end()],
-        "seed": args.seed,
+        "seed": options.seed,
         "camera": {
             "size": [camera.width, camera.height],
             "fx_fy_cx_cy": [camera.fx, camera.fy, camera.cx, camera.cy],
