@@ -68,6 +68,7 @@ impl Slam {
     /// [`SlamError::Config`] or [`SlamError::Camera`] for invalid values.
     pub fn new(camera: Camera, config: Config, rng_seed: u64, par: Par) -> Result<Self, SlamError> {
         let context = Context::new(camera, config, rng_seed, par)?;
+        let frame = FrameId(0);
         let places = PlaceIndex::new(PlaceConfig::default(), rng_seed);
         Ok(Self {
             extractor: FrameExtractor::new(&context)?,
@@ -76,7 +77,7 @@ impl Slam {
             map: Map::default(),
             keyframing: Keyframing::default(),
             mapping: Mapping::new(&context)?,
-            places: places.expect("the default settings are valid"),
+            places: places.map_err(|source| SlamError::Features { frame, source })?,
             images: ImageStore::default(),
             trajectory: Trajectory::default(),
             labelled: None,
