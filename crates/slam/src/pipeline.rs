@@ -347,7 +347,7 @@ impl Slam {
                 labels,
                 poses: map.keyframe_poses(),
                 moved,
-                new_landmarks: landmarks_born_in(map, id),
+                new_landmarks: landmarks_born_in(map, id, config.labels.tagged),
                 living: map
                     .landmarks()
                     .map(|(l, landmark)| (l, landmark.label()))

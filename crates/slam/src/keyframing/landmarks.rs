@@ -3,9 +3,9 @@
 use garad_core::chi_square::{CHI2_2DOF_95, CHI2_3DOF_95};
 use garad_core::{KeyframeId, Label, LandmarkId};
 
+use crate::config::TaggedLabels;
 use crate::context::Context;
 use crate::frame::Frame;
-use crate::map::landmark::Landmark;
 use crate::map::{Map, by_count};
 use crate::mapping::job::NewLandmark;
 
@@ -79,15 +79,20 @@ fn drop_weak_landmarks(
     });
 }
 
-/// What the mapper needs to know of the static landmarks a keyframe made.
-pub(crate) fn landmarks_born_in(map: &Map, id: KeyframeId) -> Vec<NewLandmark> {
+/// What the mapper needs to know of the landmarks a keyframe made. Where a Gaussian always has its
+/// landmark's label ([`TaggedLabels::Landmark`]), one that is dynamic already gets no Gaussian.
+pub(crate) fn landmarks_born_in(
+    map: &Map,
+    id: KeyframeId,
+    tagged: TaggedLabels,
+) -> Vec<NewLandmark> {
     let keyframe = map.keyframe(id);
     let linked = (0..keyframe.len()).filter_map(|i| Some((i, keyframe.landmark[i]?)));
     linked
         .filter_map(|(i, landmark)| {
-            let born_here = |l: &&Landmark| l.born == id && l.label() == Label::Static;
-            let found = map.landmark(landmark).filter(born_here)?;
-            Some(NewLandmark {
+            let found = map.landmark(landmark).filter(|l| l.born == id)?;
+            let inserted = tagged == TaggedLabels::Evidence || found.label() == Label::Static;
+            inserted.then(|| NewLandmark {
                 id: landmark,
                 p_world: found.p_world,
                 px: [pixel(keyframe.px[i].x), pixel(keyframe.px[i].y)],
