@@ -52,6 +52,10 @@ pub fn write_ply(
     write_atomically(path, |out| format_ply(out, map, options))
 }
 
+/// The version of garad that last changed the layout. Not that of the program: a release that draws
+/// the same map writes the same bytes.
+const LAYOUT: &str = "0.1.0";
+
 /// Writes a map to a stream; the same map gives the same bytes. The layout is in the
 /// [module's documentation](super).
 ///
@@ -66,8 +70,7 @@ pub fn format_ply(
     writeln!(out, "format binary_little_endian 1.0")?;
     writeln!(
         out,
-        "comment garad {}: metres, x right, y down, z forward",
-        env!("CARGO_PKG_VERSION")
+        "comment garad {LAYOUT}: metres, x right, y down, z forward"
     )?;
     writeln!(out, "element vertex {}", map.len())?;
     for name in standard_names() {
