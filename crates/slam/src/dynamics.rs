@@ -14,12 +14,12 @@
 //!
 //! | file | what | paper |
 //! |---|---|---|
-//! | [`samples`], [`field`], [`mask`] | a frame's field and its mask | III-A, eq. 1 to 6 |
-//! | [`cues`], [`landmarks`], [`retention`] | a keyframe's landmarks | III-A, eq. 1 to 7 |
-//! | [`free_space`], [`evidence`] | the depth cue | β of eq. 2 |
-//! | [`flow_check`] | suspects restored | III-B, eq. 9, 10 |
-//! | [`bootstrap`] | the first frames | III-A |
-//! | [`patch_motion`] | sideways motion, off by default | decision 012 |
+//! | `samples`, `field`, `mask` | a frame's field and its mask | III-A, eq. 1 to 6 |
+//! | `cues`, [`landmarks`], `retention` | a keyframe's landmarks | III-A, eq. 1 to 7 |
+//! | `free_space`, `evidence` | the depth cue | β of eq. 2 |
+//! | `flow_check` | suspects restored | III-B, eq. 9, 10 |
+//! | `bootstrap` | the first frames | III-A |
+//! | `patch_motion` | sideways motion, off by default | decision 012 |
 
 pub(crate) mod bootstrap;
 pub(crate) mod cues;

@@ -2,11 +2,11 @@
 //!
 //! | step | file |
 //! |---|---|
-//! | does the frame become a keyframe? | [`decide`] |
-//! | observations, new landmarks, duplicates | [`landmarks`] |
-//! | poses and landmarks optimised together | [`local_ba`] |
+//! | does the frame become a keyframe? | `decide` |
+//! | observations, new landmarks, duplicates | `landmarks` |
+//! | poses and landmarks optimised together | `local_ba` |
 //! | a revisited place | [`loop_closing`] |
-//! | redundant keyframes | [`culling`] |
+//! | redundant keyframes | `culling` |
 
 pub(crate) mod culling;
 pub(crate) mod decide;

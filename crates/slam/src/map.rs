@@ -2,7 +2,7 @@
 //!
 //! Both are stored in vectors indexed by their ids; a dropped landmark leaves a hole and its id is
 //! never used again, so every loop over the map runs in the order of creation. A culled keyframe
-//! stays as an empty one, whose pose follows another's ([`culling`](crate::keyframing::culling)).
+//! stays as an empty one, whose pose follows another's (`culling`).
 
 pub mod landmark;
 

@@ -15,8 +15,8 @@
 //! |---|---|---|
 //! | [`job`], [`worker`], [`mapper`] | a job, where it runs, its stages | III |
 //! | [`loop_correction`], [`relabel`], [`insert`] | what changes the map before training | III-A, III-C |
-//! | [`train`], [`loss`], [`coarse_to_fine`] | one iteration | eq. 12, 13, 15, 16 |
-//! | [`view`], [`view_mask`] | the images, and what is excluded from them | |
+//! | [`train`], `loss`, `coarse_to_fine` | one iteration | eq. 12, 13, 15, 16 |
+//! | [`view`], `view_mask` | the images, and what is excluded from them | |
 //! | [`densify`] | clone, split, prune | III-C |
 
 pub(crate) mod coarse_to_fine;

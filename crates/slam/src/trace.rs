@@ -2,7 +2,7 @@
 //!
 //! A port whose result differs needs the first tensor that does. For the frames asked for, the
 //! pipeline records what goes into its stages and what comes out, in the order in which they run.
-//! Each stage is given a [`Recorder`] and hands it its tensors; [`stages`] lists them.
+//! Each stage is given a [`Recorder`] and hands it its tensors; `stages` lists them.
 //!
 //! Without a trace each call is one comparison; nothing is copied or allocated. The numbers are
 //! those of the run, untouched: the same bits for any number of threads.

@@ -2,10 +2,10 @@
 //!
 //! | step | from | result |
 //! |---|---|---|
-//! | [`motion`] | constant velocity and the last frame's landmarks, or the reference keyframe's descriptors | first pose |
-//! | [`relocalise`] | the keyframes that look most like the frame, if the camera is lost | first pose |
-//! | [`local_map`] | everything the neighbourhood's keyframes observe | links |
-//! | [`pose`], [`depth_pose`], [`subpixel`] | links, depth planes, image patches | final pose |
+//! | `motion` | constant velocity and the last frame's landmarks, or the reference keyframe's descriptors | first pose |
+//! | `relocalise` | the keyframes that look most like the frame, if the camera is lost | first pose |
+//! | `local_map` | everything the neighbourhood's keyframes observe | links |
+//! | `pose`, `depth_pose`, `subpixel` | links, depth planes, image patches | final pose |
 
 pub(crate) mod depth_pose;
 pub(crate) mod local_map;

@@ -6,7 +6,7 @@
 //! | step | question | answer |
 //! |---|---|---|
 //! | `candidates` | which older keyframes look like this one? | place index, no neighbours, several keyframes in a row |
-//! | [`locate`] | what is the camera's pose, seen from there? | matches, rigid motion, local map |
+//! | `locate` | what is the camera's pose, seen from there? | matches, rigid motion, local map |
 //! | `is_plausible` | can the path have drifted so far? | share of the path length |
 //! | `correct_path` | how does the error spread over the path? | pose graph |
 //! | `join_landmarks` | which landmarks are the same? | links of `locate`, search around them |

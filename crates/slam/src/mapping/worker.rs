@@ -1,4 +1,4 @@
-//! [`Worker`]: the mapper in this thread or in one of its own.
+//! `Worker`: the mapper in this thread or in one of its own.
 
 use std::collections::VecDeque;
 use std::fmt;
