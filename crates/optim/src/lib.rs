@@ -40,6 +40,7 @@ pub mod pose_graph;
 pub mod reprojection;
 pub mod robust;
 mod schur;
+pub mod shutter;
 pub mod solve;
 
 pub use adam::{Adam, AdamConfig, sgd};
@@ -51,4 +52,5 @@ pub use pnp::{PnpConfig, PnpResult, p3p, solve_pnp_ransac};
 pub use pose::{DepthObservation, PoseConfig, PoseObservation, PoseSolution, optimise_pose};
 pub use pose_graph::{PoseEdge, PoseGraph, PoseGraphConfig, PoseGraphReport};
 pub use robust::RobustKernel;
+pub use shutter::{PoseAndTurn, TurnConfig, optimise_pose_and_turn};
 pub use solve::{NotPositiveDefinite, ldlt_inverse, ldlt_solve};

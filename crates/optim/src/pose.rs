@@ -211,7 +211,7 @@ fn huber_kernels(deltas: Option<[f64; 2]>) -> [RobustKernel; 2] {
 }
 
 impl PoseObservation {
-    fn reprojection(&self) -> Reprojection {
+    pub(crate) fn reprojection(&self) -> Reprojection {
         Reprojection {
             uv_px: self.uv_px,
             sigma_px: self.sigma_px,

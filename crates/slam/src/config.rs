@@ -19,7 +19,7 @@ pub use mapping::{
     DensifyConfig, InsertionConfig, Optimiser, RateConfig, ScheduleConfig, TrainConfig,
 };
 pub use tracking::{
-    DepthPlanesConfig, DepthResidual, FeatureConfig, SubpixelConfig, TrackingConfig,
+    DepthPlanesConfig, DepthResidual, FeatureConfig, MotionConfig, SubpixelConfig, TrackingConfig,
 };
 pub use validate::ConfigError;
 
@@ -61,6 +61,8 @@ pub struct Config {
     /// Matches refined by Lucas-Kanade.
     #[serde(alias = "refine")]
     pub subpixel: SubpixelConfig,
+    /// The last frames' poses solved together.
+    pub motion: MotionConfig,
     /// Local bundle adjustment.
     pub local_ba: LocalBaConfig,
     /// Loop closing.

@@ -6,9 +6,11 @@ mod grid;
 mod keypoint_depth;
 mod levels;
 
-use garad_core::{Camera, DepthImage, FrameId, Label, LandmarkId, MaskImage, Se3};
+use garad_core::{
+    Camera, DepthImage, FrameId, Label, LandmarkId, MaskImage, RollingShutter, Se3,
+};
 use garad_features::{Descriptor, Keypoint};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix6, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use self::depth_planes::DepthPlanes;
@@ -26,8 +28,12 @@ pub struct Frame {
     pub id: FrameId,
     /// Time stamp of the colour image, seconds.
     pub t_s: f64,
-    /// Pose of the camera.
+    /// Pose of the camera at the middle row.
     pub camera_from_world: Se3,
+    /// What its links say about the pose.
+    pub(crate) information: PoseInformation,
+    /// How it turned while the image was read out.
+    pub shutter: RollingShutter,
     /// Keypoints as detected (distorted pixels).
     pub keypoints: Vec<Keypoint>,
     /// Their descriptors.
@@ -36,7 +42,7 @@ pub struct Frame {
     pub px: Vec<Vector2<f64>>,
     /// Their standard deviation: 1.2^level px, or that of a subpixel match.
     pub sigma_px: Vec<f64>,
-    /// Their positions in the undistorted image, px.
+    /// Their positions in the undistorted image, as if all rows were read with the middle one, px.
     pub uv_px: Vec<Vector2<f64>>,
     /// Metres along z; `None` where the sensor gave none or the point sits on a depth edge.
     pub depth_m: Vec<Option<f64>>,
@@ -54,6 +60,15 @@ pub struct Frame {
     grid: Grid,
 }
 
+/// What links to landmarks say about the pose of a frame, each with an error of its own.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+pub(crate) struct PoseInformation {
+    /// H = Σ JᵀJ over ξ = (ρ, φ): the inverse of the covariance.
+    pub(crate) matrix: Matrix6<f64>,
+    /// How many there are.
+    pub(crate) links: usize,
+}
+
 impl Frame {
     /// Keeps id, time and pose and frees the rest.
     pub(crate) fn drop_features(&mut self) {
@@ -61,6 +76,8 @@ impl Frame {
             id: self.id,
             t_s: self.t_s,
             camera_from_world: self.camera_from_world,
+            shutter: self.shutter,
+            information: self.information,
             keypoints: Vec::new(),
             descriptors: Vec::new(),
             px: Vec::new(),
@@ -125,6 +142,8 @@ impl Frame {
             id,
             t_s,
             camera_from_world: Se3::identity(),
+            shutter: RollingShutter::global(),
+            information: PoseInformation::default(),
             landmark: vec![None; keypoints.len()],
             depth_planes,
             keypoints,
@@ -176,7 +195,7 @@ impl Frame {
         camera: &Camera,
         config: &Config,
     ) {
-        if let Some(uv_px) = camera.undistort_pixel(&px) {
+        if let Some(uv_px) = self.shutter.ideal_pixel(camera, &px) {
             self.px[i] = px;
             self.uv_px[i] = uv_px;
             self.sigma_px[i] = sigma_px;
@@ -200,6 +219,18 @@ impl Frame {
         self.grid = Grid::new(camera, &self.uv_px, &labels.in_use);
         self.label.clone_from(&labels.label);
         self.in_use.clone_from(&labels.in_use);
+    }
+
+    /// The camera turned like this while the image was read out: brings all keypoints to the
+    /// middle row. The rows are those of the detected positions.
+    pub(crate) fn set_shutter(&mut self, shutter: RollingShutter, camera: &Camera) {
+        self.shutter = shutter;
+        for (uv_px, px) in self.uv_px.iter_mut().zip(&self.px) {
+            if let Some(ideal) = shutter.ideal_pixel(camera, px) {
+                *uv_px = ideal;
+            }
+        }
+        self.grid = Grid::new(camera, &self.uv_px, &self.in_use);
     }
 
     /// Leaves out the depth planes where the mask (255) says that something moves.

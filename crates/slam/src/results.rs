@@ -81,7 +81,8 @@ impl Slam {
     /// The path so far: every tracked frame, moved along with its adjusted keyframe.
     #[must_use]
     pub fn trajectory(&self) -> Vec<StampedPose> {
-        self.trajectory.stamped(&self.map)
+        self.trajectory
+            .stamped(&self.map, &self.context.config.motion)
     }
 
     /// The keyframes' poses.

@@ -15,6 +15,7 @@ pub(crate) mod observation;
 pub(crate) mod pose;
 pub(crate) mod relocalise;
 pub(crate) mod rigid;
+pub(crate) mod shutter;
 pub(crate) mod subpixel;
 
 use std::io::{Read, Write};
@@ -28,6 +29,7 @@ use self::local_map::local_map;
 use self::motion::{track_motion, track_reference};
 use self::pose::pose_from_links;
 use self::relocalise::relocalise;
+use self::shutter::{ShutterModel, estimate_shutter};
 use self::subpixel::refine_matches;
 use crate::context::Context;
 use crate::frame::Frame;
@@ -53,6 +55,7 @@ pub struct Tracker {
     /// The keyframe that shares most landmarks with the last frame.
     reference: KeyframeId,
     relocalised_at: Option<FrameId>,
+    shutter: ShutterModel,
 }
 
 impl Default for Tracker {
@@ -65,6 +68,7 @@ impl Default for Tracker {
             velocity: None,
             reference: KeyframeId(0),
             relocalised_at: None,
+            shutter: ShutterModel::new(),
         }
     }
 }
@@ -132,10 +136,10 @@ impl Tracker {
             (_, None) => false,
             (_, Some(last)) => {
                 let by_motion = self.velocity.is_some_and(|velocity| {
-                    track_motion(context, map, last, &velocity, frame, recorder)
+                    track_motion(context, map, last, &velocity, frame, &self.shutter, recorder)
                 });
                 let reference = map.keyframe(self.reference);
-                by_motion || track_reference(context, map, last, reference, frame, recorder)
+                by_motion || track_reference(context, map, last, reference, frame, &self.shutter, recorder)
             }
         };
         observer.end(stage);
@@ -163,9 +167,14 @@ impl Tracker {
             record.local_map(&local.visible);
             record.links(frame);
         });
-        let mut inliers = refine_pose_with_depth(context, map, frame, MIN_SHARE_LABELLED, recorder);
+        let mut inliers = refine_pose_with_depth(context, map, frame, MIN_SHARE_LABELLED, &self.shutter, recorder);
         if let Some(pyramid) = pyramid.filter(|_| context.config.subpixel.enabled && inliers > 0) {
             refine_matches(context, map, images, frame, pyramid, depth, recorder);
+            if let Some(turn) = estimate_shutter(context, map, frame, &self.shutter) && let Some(last) = &self.last {
+                let delta = (frame.camera_from_world * last.camera_from_world.inverse()).rotation.log();
+                self.shutter.update(turn, delta);
+
+            }
             inliers = pose_from_links(context, map, frame, recorder);
         }
         if !finished {
@@ -230,6 +239,7 @@ impl Tracker {
             velocity,
             reference,
             relocalised_at,
+            shutter: _,
         } = self;
         to.put("state", state)?;
         to.put("last", last)?;
@@ -250,6 +260,7 @@ impl Tracker {
             velocity: from.take("velocity")?,
             reference: from.take("reference")?,
             relocalised_at: from.take("relocalised_at")?,
+            shutter: ShutterModel::new(),
         })
     }
 }

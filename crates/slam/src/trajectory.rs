@@ -1,45 +1,55 @@
 //! [`Trajectory`]: the pose of every tracked frame, relative to a keyframe.
 
+mod motion;
+
 use garad_core::{KeyframeId, Se3, StampedPose};
 use serde::{Deserialize, Serialize};
 
-use crate::frame::Frame;
+use self::motion::{MeasuredPose, most_likely_path};
+use crate::config::MotionConfig;
+use crate::frame::{Frame, PoseInformation};
 use crate::map::Map;
 
 /// A frame's pose relative to a keyframe, so that it moves along when the keyframe is adjusted.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-struct RelativePose {
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct TrackedFrame {
     t_s: f64,
     reference: KeyframeId,
     frame_from_reference: Se3,
+    /// What its links say about its pose.
+    information: PoseInformation,
 }
 
 /// The camera's path so far.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
-pub struct Trajectory(Vec<RelativePose>);
+pub struct Trajectory(Vec<TrackedFrame>);
 
 impl Trajectory {
     /// Adds a tracked frame.
     pub(crate) fn push(&mut self, frame: &Frame, reference: KeyframeId, map: &Map) {
         let reference_from_world = map.keyframe(reference).camera_from_world;
-        self.0.push(RelativePose {
+        self.0.push(TrackedFrame {
             t_s: frame.t_s,
             reference,
             frame_from_reference: frame.camera_from_world * reference_from_world.inverse(),
+            information: frame.information,
         });
     }
 
-    /// Every tracked frame's pose, by the keyframes' poses as they are now.
+    /// The most likely path: every tracked frame's pose by the keyframes' poses as they are now, and
+    /// by a camera that has mass ([`motion`]).
     #[must_use]
-    pub fn stamped(&self, map: &Map) -> Vec<StampedPose> {
-        let pose = |r: &RelativePose| {
-            let frame_from_world =
-                r.frame_from_reference * map.keyframe(r.reference).camera_from_world;
-            StampedPose {
-                t_s: r.t_s,
-                world_from_camera: frame_from_world.inverse(),
-            }
+    pub fn stamped(&self, map: &Map, config: &MotionConfig) -> Vec<StampedPose> {
+        let measured = self.0.iter().map(|frame| {
+            let reference_from_world = map.keyframe(frame.reference).camera_from_world;
+            let camera_from_world = frame.frame_from_reference * reference_from_world;
+            MeasuredPose::new(frame.t_s, camera_from_world, &frame.information, config)
+        });
+        let path = most_likely_path(&measured.collect::<Vec<_>>(), config);
+        let stamped = |(frame, pose): (&TrackedFrame, Se3)| StampedPose {
+            t_s: frame.t_s,
+            world_from_camera: pose.inverse(),
         };
-        self.0.iter().map(pose).collect()
+        self.0.iter().zip(path).map(stamped).collect()
     }
 }

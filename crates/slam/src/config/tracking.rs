@@ -77,6 +77,9 @@ pub struct TrackingConfig {
     pub min_inliers_after_recovery: usize,
     /// Keyframes in the local map at most.
     pub max_local_keyframes: usize,
+    /// How far the camera turns while it reads an image out (rolling shutter): standard deviation
+    /// per axis, radians. 0: all rows at once (global shutter).
+    pub shutter_sigma_rad: f64,
     /// Virtual stereo: focal length times baseline, px·m.
     pub bf: f64,
     /// How a depth reading enters the pose and the bundle.
@@ -113,9 +116,29 @@ impl Default for TrackingConfig {
             min_inliers: 30,
             min_inliers_after_recovery: 50,
             max_local_keyframes: 80,
+            shutter_sigma_rad: 0.01,
             bf: 40.0,
             depth_residual: DepthResidual::Right,
             disparity_sigma_px: 0.3,
+        }
+    }
+}
+
+/// The camera's motion between frames (decision 015).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MotionConfig {
+    /// Standard deviation of the camera's acceleration, per axis, m/s². A hand's is about 1.
+    pub acceleration_m_s2: f64,
+    /// The error that all links of a frame share, as a part of the error of one.
+    pub shared_error: f64,
+}
+
+impl Default for MotionConfig {
+    fn default() -> Self {
+        Self {
+            acceleration_m_s2: 1.0,
+            shared_error: 0.3,
         }
     }
 }

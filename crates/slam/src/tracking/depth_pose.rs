@@ -23,6 +23,7 @@ use nalgebra::{Matrix1x6, SVector, Vector6};
 
 use super::observation::observation;
 use super::pose::pose_from_links;
+use super::shutter::{ShutterModel, estimate_shutter};
 use crate::context::Context;
 use crate::frame::Frame;
 use crate::frame::depth_planes::DepthPlanes;
@@ -49,8 +50,10 @@ pub(crate) fn refine_pose_with_depth(
     map: &Map,
     frame: &mut Frame,
     min_share: f64,
+    shutter: &ShutterModel,
     recorder: &mut Recorder,
 ) -> usize {
+    estimate_shutter(context, map, frame, shutter);
     let links = frame.landmark.clone();
     let inliers = pose_from_links(context, map, frame, recorder);
     if inliers == 0 {
@@ -308,7 +311,7 @@ mod tests {
 
     fn refined(world: &World, frame: &mut Frame, min_share: f64) -> usize {
         let recorder = &mut Recorder::default();
-        refine_pose_with_depth(&world.context, &world.map, frame, min_share, recorder)
+        refine_pose_with_depth(&world.context, &world.map, frame, min_share, &ShutterModel::new(), recorder)
     }
 
     fn error_m(pose: &Se3, truth: &Se3) -> f64 {

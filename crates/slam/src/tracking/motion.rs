@@ -4,6 +4,7 @@ use garad_core::Se3;
 
 use super::depth_pose::{MIN_SHARE_UNLABELLED, refine_pose_with_depth};
 use super::matching;
+use super::shutter::ShutterModel;
 use crate::context::Context;
 use crate::frame::Frame;
 use crate::map::Map;
@@ -17,6 +18,7 @@ pub(crate) fn track_motion(
     last: &Frame,
     velocity: &Se3,
     frame: &mut Frame,
+    shutter: &ShutterModel,
     recorder: &mut Recorder,
 ) -> bool {
     let config = &context.config.tracking;
@@ -31,7 +33,7 @@ pub(crate) fn track_motion(
         let matches = matching::from_last_frame(context, map, last, frame, radius_px);
         recorder.record("match_motion", |record| record.links(frame));
         if matches >= config.motion_min_matches {
-            return first_pose(context, map, frame, recorder);
+            return first_pose(context, map, frame, shutter, recorder);
         }
     }
     false
@@ -45,6 +47,7 @@ pub(crate) fn track_reference(
     last: &Frame,
     reference: &Frame,
     frame: &mut Frame,
+    shutter: &ShutterModel,
     recorder: &mut Recorder,
 ) -> bool {
     frame.camera_from_world = last.camera_from_world;
@@ -52,10 +55,10 @@ pub(crate) fn track_reference(
     let matches = matching::from_keyframe(context, map, reference, frame);
     recorder.record("match_reference", |record| record.links(frame));
     matches >= context.config.tracking.reference_min_matches
-        && first_pose(context, map, frame, recorder)
+        && first_pose(context, map, frame, shutter, recorder)
 }
 
-fn first_pose(context: &Context, map: &Map, frame: &mut Frame, recorder: &mut Recorder) -> bool {
-    let inliers = refine_pose_with_depth(context, map, frame, MIN_SHARE_UNLABELLED, recorder);
+fn first_pose(context: &Context, map: &Map, frame: &mut Frame, shutter: &ShutterModel, recorder: &mut Recorder) -> bool {
+    let inliers = refine_pose_with_depth(context, map, frame, MIN_SHARE_UNLABELLED, shutter, recorder);
     inliers >= context.config.tracking.motion_min_inliers
 }

@@ -4,7 +4,7 @@ use garad_optim::{PoseConfig, optimise_pose};
 
 use super::observation::observation;
 use crate::context::Context;
-use crate::frame::Frame;
+use crate::frame::{Frame, PoseInformation};
 use crate::map::Map;
 use crate::trace::Recorder;
 
@@ -50,6 +50,10 @@ pub(crate) fn pose_from_links(
         record.pose_lm(&keypoints, &observations, &before, &solution);
     });
     frame.camera_from_world = solution.camera_from_world;
+    frame.information = PoseInformation {
+        matrix: solution.information,
+        links: solution.n_inliers,
+    };
     for (&i, inlier) in keypoints.iter().zip(&solution.inlier) {
         if !inlier {
             frame.landmark[i] = None;

@@ -84,7 +84,7 @@ fn tasks(
         let predicted = camera.project(&(frame.camera_from_world * landmark.p_world));
         if let (Some((keyframe, j)), Some(uv)) = (oldest, predicted) {
             let from = map.keyframe(*keyframe).px[*j];
-            let start = camera.distort_pixel(&uv);
+            let start = frame.shutter.recorded_pixel(camera, &uv);
             let task = (i, lk_point(&from), lk_point(&start));
             tasks.entry(*keyframe).or_default().push(task);
         }

@@ -1,0 +1,145 @@
+//! The turn of the camera while an image was read out, from the frame's links (decision 014).
+
+use garad_core::RollingShutter;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+use garad_core::chi_square::{CHI2_2DOF_95, CHI2_3DOF_95};
+use garad_optim::{PoseAndTurn, PoseObservation, TurnConfig, optimise_pose_and_turn};
+
+use super::observation::observation;
+use crate::context::Context;
+use crate::frame::Frame;
+use crate::map::Map;
+
+/// Links without which no turn is estimated: three times as many equations as for the pose alone
+/// are asked for.
+const MIN_LINKS: usize = 30;
+/// Trials of Levenberg-Marquardt.
+const TRIALS: usize = 5;
+
+/// Estimates pose and turn together over the links to static landmarks, and brings the keypoints to
+/// the middle row. Nothing changes where the shutter is taken for a global one, or with few links.
+pub(crate) fn estimate_shutter(context: &Context, map: &Map, frame: &mut Frame, model: &ShutterModel) -> Option<Vector3<f64>> {
+    let config = &context.config.tracking;
+    if config.shutter_sigma_rad <= 0.0 {
+        return None;
+    }
+    let camera = &context.camera;
+    let observations: Vec<(PoseObservation, f64)> = (0..frame.len())
+        .filter_map(|i| {
+            let landmark = map.static_landmark(frame.landmark[i]?)?;
+            let recorded = PoseObservation {
+                uv_px: camera.undistort_pixel(&frame.px[i])?,
+                depth: None,
+                ..observation(config, frame, i, landmark.p_world)
+            };
+            let row_time = RollingShutter::row_time(frame.px[i].y, camera.height);
+            Some((recorded, row_time))
+        })
+        .collect();
+    if observations.len() < MIN_LINKS {
+        return None;
+    }
+    let initial = PoseAndTurn {
+        camera_from_world: frame.camera_from_world,
+        shutter: frame.shutter,
+    };
+    let config = TurnConfig {
+        bf: config.bf,
+        iterations: TRIALS,
+        huber: [CHI2_2DOF_95.sqrt(), CHI2_3DOF_95.sqrt()],
+        sigma_rad: config.shutter_sigma_rad,
+    };
+    let found = optimise_pose_and_turn(camera, &observations, &initial, &config);
+    let turn_rad = found.shutter.turn_rad;
+    if model.read_out_share() > 0.0 {
+        frame.camera_from_world = found.camera_from_world;
+        let turn_rad = model.corrected(turn_rad);
+        frame.set_shutter(RollingShutter { turn_rad }, camera);
+    }
+    Some(turn_rad)
+}
+
+/// What is known of the camera's shutter, from the frames so far.
+///
+/// The turn ωₖ of a frame's read-out and the rotations Δ between frames come from the same motion:
+/// ωₖ ≈ r (Δₖ + Δₖ₊₁) / 2, where reading out takes the share r of the time between two frames. r is
+/// a regression of the one on the other, both taken from their running means (E23). A hand's tremble
+/// separates rolling shutters (0.7 to 1) from global ones (0) within a second.
+///
+/// The mean of ω over many frames cannot be measured against a map that was itself made from such
+/// frames: an error that all of them share is a bent image, and would drift. The mean is r Δ's instead:
+/// what the measurements exceed r Δ by, on average over the last frames, is subtracted from them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct ShutterModel {
+    /// Of ω and Δ from their means: Σ ω·ω, Σ ω·Δ, Σ Δ·Δ, and the number of frames.
+    products_rad2: [f64; 3],
+    frames: u32,
+    /// ω of the last frame and the rotation that leads to it.
+    last: Option<[Vector3<f64>; 2]>,
+    /// Running means of ω and of Δ.
+    means_rad: Option<[Vector3<f64>; 2]>,
+}
+
+/// Frames of the running means.
+const MEAN_FRAMES: f64 = 15.0;
+/// From this share on the shutter is a rolling one, ...
+const ROLLING_SHARE: f64 = 0.3;
+/// ... once that is certain: its standard deviations from 0.
+const CERTAIN_SIGMAS: f64 = 3.0;
+
+impl ShutterModel {
+    /// Before the first frame: global.
+    pub(crate) fn new() -> Self {
+        Self {
+            products_rad2: [0.0; 3],
+            frames: 0,
+            last: None,
+            means_rad: None,
+        }
+    }
+
+    /// r: the share of the time between two frames that reading out takes; 0 for a global shutter, and
+    /// until it is certain that there is another one: r ≥ 3 σᵣ, σᵣ² = Σ ‖ω - r Δ‖² / (3 n Σ Δ·Δ).
+    pub(crate) fn read_out_share(&self) -> f64 {
+        let [turn_turn, turn_rotation, rotation_rotation] = self.products_rad2;
+        let r = turn_rotation / rotation_rotation;
+        let residuals = turn_turn - r * turn_rotation;
+        let sigma2 = residuals / (3.0 * f64::from(self.frames) * rotation_rotation);
+        let certain = r * r >= CERTAIN_SIGMAS * CERTAIN_SIGMAS * sigma2;
+        // Before the first frames all of these are NaN, which is not certain.
+        if certain && r >= ROLLING_SHARE { r.min(1.0) } else { 0.0 }
+    }
+
+    /// The turn to use for a measured one.
+    fn corrected(&self, measured_rad: Vector3<f64>) -> Vector3<f64> {
+        let r = self.read_out_share();
+        match &self.means_rad {
+            Some([turn, rotation]) if r > 0.0 => measured_rad - (turn - r * rotation),
+            _ => Vector3::zeros(),
+        }
+    }
+
+    /// A frame's measured turn, and its rotation since the frame before it.
+    pub(crate) fn update(&mut self, turn_rad: Vector3<f64>, rotation_rad: Vector3<f64>) {
+        let now = [turn_rad, rotation_rad];
+        let means = self.means_rad.get_or_insert(now);
+        if let Some([turn, rotation]) = self.last {
+            let turn = turn - means[0];
+            let rotation = 0.5 * (rotation + rotation_rad) - means[1];
+            self.products_rad2[0] += turn.norm_squared();
+            self.products_rad2[1] += turn.dot(&rotation);
+            self.products_rad2[2] += rotation.norm_squared();
+            self.frames += 1;
+        }
+        for (mean, now) in means.iter_mut().zip(now) {
+            *mean += (now - *mean) / MEAN_FRAMES;
+        }
+        self.last = Some(now);
+    }
+
+    /// The next frame does not follow the last one.
+    pub(crate) fn interrupt(&mut self) {
+        self.last = None;
+    }
+}

@@ -1,0 +1,132 @@
+//! [`most_likely_path`]: measured poses, and a camera that has mass (decision 015).
+//!
+//! Links, landmarks and the shutter's model leave each pose an error of some millimetres, another one
+//! in every frame. A hand cannot follow that: within the 33 ms between two frames its velocity changes
+//! by a few centimetres a second. With cₖ the centre of frame k, measured as ĉₖ with covariance Σₖ,
+//!
+//! F = ½ Σₖ ρ(‖cₖ - ĉₖ‖²_Σₖ) + ½ Σₖ ‖(cₖ₊₁ - cₖ)/Δ₊ - (cₖ - cₖ₋₁)/Δ₋‖² / (σ_a Δ)²,       (E24)
+//! Δ = (Δ₊ + Δ₋)/2
+//!
+//! is quadratic but for Huber's kernel ρ, which is re-weighted. Only the centres have such a prior: a
+//! hand that trembles turns a camera from frame to frame. The rotation follows the centre so that the
+//! links stay explained: φ = -H_φφ⁻¹ H_φρ ρ, with H the information of the frame's pose.
+
+use std::ops::Range;
+
+use garad_core::Se3;
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3, Vector6};
+
+use crate::config::MotionConfig;
+use crate::frame::PoseInformation;
+
+/// Solutions with the weights of the one before.
+const ROUNDS: usize = 3;
+/// δ of Huber's kernel, standard deviations.
+const OUTLIER_SIGMAS: f64 = 3.0;
+/// Frames solved together at most: so many that count, and so many on each side. What lies farther
+/// away changes nothing.
+const WINDOW: usize = 20;
+const MARGIN: usize = 15;
+
+/// The pose of a frame by its links alone.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct MeasuredPose {
+    t_s: f64,
+    camera_from_world: Se3,
+    /// Inverse covariance of the centre, in world coordinates, 1/m².
+    information: Matrix3<f64>,
+    /// φ per ρ.
+    turn_by_step: Matrix3<f64>,
+}
+
+impl MeasuredPose {
+    /// Errors that all n links share do not average out: the covariance is (1 + κ² n) times the
+    /// inverse of the information. A pose that its links do not determine has no information.
+    pub(super) fn new(
+        t_s: f64,
+        camera_from_world: Se3,
+        by_links: &PoseInformation,
+        config: &MotionConfig,
+    ) -> Self {
+        let shared = config.shared_error * config.shared_error * by_links.links as f64;
+        let rotation = camera_from_world.rotation.matrix();
+        let of_centre = || {
+            let covariance = by_links.matrix.cholesky()?.inverse();
+            let of_step = covariance.fixed_view::<3, 3>(0, 0) * (1.0 + shared);
+            Some(rotation.transpose() * of_step.cholesky()?.inverse() * rotation)
+        };
+        let turn_by_step = || {
+            let of_turn = by_links.matrix.fixed_view::<3, 3>(3, 3).into_owned();
+            Some(-of_turn.cholesky()?.inverse() * by_links.matrix.fixed_view::<3, 3>(3, 0))
+        };
+        Self {
+            t_s,
+            camera_from_world,
+            information: of_centre().unwrap_or_default(),
+            turn_by_step: turn_by_step().unwrap_or_default(),
+        }
+    }
+
+    /// The pose with its centre moved.
+    fn moved(&self, step: &Vector3<f64>) -> Se3 {
+        let rho = -(self.camera_from_world.rotation.matrix() * step);
+        let phi = self.turn_by_step * rho;
+        let xi = Vector6::new(rho.x, rho.y, rho.z, phi.x, phi.y, phi.z);
+        Se3::exp(&xi) * self.camera_from_world
+    }
+}
+
+/// The poses that minimise F.
+pub(super) fn most_likely_path(measured: &[MeasuredPose], config: &MotionConfig) -> Vec<Se3> {
+    let mut path = Vec::with_capacity(measured.len());
+    for first in (0..measured.len()).step_by(WINDOW) {
+        let end = (first + WINDOW).min(measured.len());
+        let from = first.saturating_sub(MARGIN);
+        let together = &measured[from..(end + MARGIN).min(measured.len())];
+        path.extend(solve(together, first - from..end - from, config));
+    }
+    path
+}
+
+/// The minimum of F over some frames; returns the poses of `wanted`.
+fn solve(frames: &[MeasuredPose], wanted: Range<usize>, config: &MotionConfig) -> Vec<Se3> {
+    let n = frames.len();
+    let centre = |frame: &MeasuredPose| frame.camera_from_world.inverse().translation;
+    let centres: Vec<_> = frames.iter().map(centre).collect();
+    let mut by_motion = DMatrix::<f64>::zeros(n, n);
+    let mut gradient = DVector::<f64>::zeros(3 * n);
+    for k in 1..n.saturating_sub(1) {
+        let before = frames[k].t_s - frames[k - 1].t_s;
+        let after = frames[k + 1].t_s - frames[k].t_s;
+        let sigma = config.acceleration_m_s2 * 0.5 * (before + after);
+        let by = [1.0 / before, -1.0 / before - 1.0 / after, 1.0 / after].map(|c| c / sigma);
+        let residual = centres[k - 1] * by[0] + centres[k] * by[1] + centres[k + 1] * by[2];
+        for (a, by_a) in by.iter().enumerate() {
+            let mut of_frame = gradient.fixed_rows_mut::<3>(3 * (k - 1 + a));
+            of_frame += *by_a * residual;
+            for (b, by_b) in by.iter().enumerate() {
+                by_motion[(k - 1 + a, k - 1 + b)] += by_a * by_b;
+            }
+        }
+    }
+    let by_motion = by_motion.kronecker(&Matrix3::identity());
+    let mut steps = vec![Vector3::zeros(); n];
+    for _ in 0..ROUNDS {
+        let mut hessian = by_motion.clone();
+        for (k, frame) in frames.iter().enumerate() {
+            let sigmas = steps[k].dot(&(frame.information * steps[k])).sqrt();
+            let weight = OUTLIER_SIGMAS / sigmas.max(OUTLIER_SIGMAS);
+            let mut of_frame = hessian.fixed_view_mut::<3, 3>(3 * k, 3 * k);
+            of_frame += weight * frame.information;
+        }
+        let Some(factors) = hessian.cholesky() else {
+            break; // Frames without information: they stay where they are.
+        };
+        let solution = factors.solve(&-&gradient);
+        for (k, step) in steps.iter_mut().enumerate() {
+            *step = solution.fixed_rows::<3>(3 * k).into_owned();
+        }
+    }
+    let kept = frames.iter().zip(&steps).skip(wanted.start);
+    kept.take(wanted.len()).map(|(f, s)| f.moved(s)).collect()
+}
