@@ -49,7 +49,9 @@ pub use check::check_jacobian;
 pub use error::OptimError;
 pub use lm::{LmConfig, Report, StopReason};
 pub use pnp::{PnpConfig, PnpResult, p3p, solve_pnp_ransac};
-pub use pose::{DepthObservation, PoseConfig, PoseObservation, PoseSolution, optimise_pose};
+pub use pose::{
+    CentrePrior, DepthObservation, PoseConfig, PoseObservation, PoseSolution, optimise_pose,
+};
 pub use pose_graph::{PoseEdge, PoseGraph, PoseGraphConfig, PoseGraphReport};
 pub use robust::RobustKernel;
 pub use shutter::{PoseAndTurn, TurnConfig, optimise_pose_and_turn};

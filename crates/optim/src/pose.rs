@@ -6,7 +6,7 @@
 
 use garad_core::chi_square::{CHI2_2DOF_95, CHI2_3DOF_95};
 use garad_core::{Camera, Se3};
-use nalgebra::{Matrix6, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, SMatrix, Vector2, Vector3, Vector6};
 
 use crate::dense::{Dense, NormalEquations, Problem, Visitor};
 use crate::error::{OptimError, positive};
@@ -27,6 +27,35 @@ pub struct PoseObservation {
     pub sigma_px: f64,
     /// Its depth reading, if there is one.
     pub depth: Option<DepthObservation>,
+}
+
+/// What is known of the camera's centre before the image is seen: N(centre, information⁻¹), with a
+/// Huber kernel, so that a motion nobody expected is believed when many matches show it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CentrePrior {
+    /// In world coordinates, metres.
+    pub centre_m: Vector3<f64>,
+    /// L of the information L Lᵀ, 1/m.
+    pub root_information: Matrix3<f64>,
+}
+
+impl CentrePrior {
+    /// δ of the kernel, standard deviations.
+    const HUBER: RobustKernel = RobustKernel::Huber { delta: 3.0 };
+
+    /// r = Lᵀ (c - c₀), c = -Rᵀ t, and ∂c/∂ξ = (-Rᵀ, 0).
+    fn show<const N: usize>(&self, camera_from_world: &Se3, visitor: &mut impl Visitor<N>) {
+        let rotation = camera_from_world.rotation.matrix();
+        let centre_m = -(rotation.transpose() * camera_from_world.translation);
+        let root = self.root_information.transpose();
+        visitor.block(Self::HUBER, &(root * (centre_m - self.centre_m)), || {
+            let mut jacobian = SMatrix::<f64, 3, N>::zeros();
+            jacobian
+                .fixed_view_mut::<3, 3>(0, 0)
+                .copy_from(&-(root * rotation.transpose()));
+            jacobian
+        });
+    }
 }
 
 /// How a pose is optimised.
@@ -51,6 +80,8 @@ pub struct PoseConfig {
     /// A round has converged when the model expects a decrease of at most this part of the cost.
     /// 1e-9 of N residuals is a step of about √(N·2e-9) standard deviations of the pose.
     pub cost_tolerance: f64,
+    /// Before the image is seen.
+    pub prior: Option<CentrePrior>,
 }
 
 impl Default for PoseConfig {
@@ -64,6 +95,7 @@ impl Default for PoseConfig {
             restart_from_initial: true,
             kernel_off_after_round: 2,
             cost_tolerance: 1e-9,
+            prior: None,
         }
     }
 }
@@ -140,6 +172,7 @@ pub fn optimise_pose(
                 (round <= config.kernel_off_after_round)
                     .then(|| [config.chi2_2d.sqrt(), config.chi2_3d.sqrt()]),
             ),
+            prior: config.prior,
             observations: (0..observations.len())
                 .filter(|&i| inlier[i] && visible[i])
                 .map(|i| observations[i])
@@ -178,6 +211,7 @@ pub struct PoseProblem {
     intrinsics: Intrinsics,
     /// With 2 and with 3 rows.
     kernels: [RobustKernel; 2],
+    prior: Option<CentrePrior>,
     observations: Vec<PoseObservation>,
 }
 
@@ -194,8 +228,14 @@ impl PoseProblem {
         Self {
             intrinsics: Intrinsics::new(camera, bf),
             kernels: huber_kernels(huber),
+            prior: None,
             observations,
         }
+    }
+
+    /// Adds a prior of the centre.
+    pub fn set_prior(&mut self, prior: Option<CentrePrior>) {
+        self.prior = prior;
     }
 
     /// Sets the kernels of observations without and with depth.
@@ -243,6 +283,9 @@ impl Problem<6> for PoseProblem {
                     pose_jacobian(&seen.point_jacobian3(k, right, &p_cam), &p_cam)
                 }),
             }
+        }
+        if let Some(prior) = &self.prior {
+            prior.show(camera_from_world, visitor);
         }
     }
 
@@ -292,6 +335,7 @@ impl Gate<'_> {
         let problem = PoseProblem {
             intrinsics: self.intrinsics,
             kernels: huber_kernels(None),
+            prior: None,
             observations: (self.observations.iter().zip(inlier))
                 .filter(|&(_, &inlier)| inlier)
                 .map(|(o, _)| *o)

@@ -23,7 +23,9 @@ pub struct TurnConfig {
     pub iterations: usize,
     /// δ of the Huber kernels of observations without and with depth.
     pub huber: [f64; 2],
-    /// Standard deviation of the turn before anything is seen, per axis, radians.
+    /// The turn expected before anything is seen, radians, ...
+    pub expected_rad: Vector3<f64>,
+    /// ... and its standard deviation per axis.
     pub sigma_rad: f64,
 }
 
@@ -36,7 +38,7 @@ pub struct PoseAndTurn {
     pub shutter: RollingShutter,
 }
 
-/// Eq. 11 and the turn's prior: F = ½ Σᵢ ρ(‖rᵢ‖²) + ½ ‖ω‖² / σ².
+/// Eq. 11 and the turn's prior: F = ½ Σᵢ ρ(‖rᵢ‖²) + ½ ‖ω - ω₀‖² / σ².
 #[derive(Debug)]
 pub struct TurnProblem<'a> {
     intrinsics: Intrinsics,
@@ -108,11 +110,17 @@ impl Problem<9> for TurnProblem<'_> {
             }
         }
         let inv_sigma = 1.0 / self.config.sigma_rad;
-        visitor.block(RobustKernel::None, &(turn_rad * inv_sigma), || {
-            let mut by_turn = SMatrix::<f64, 3, 9>::zeros();
-            by_turn.fixed_view_mut::<3, 3>(0, 6).fill_diagonal(inv_sigma);
-            by_turn
-        });
+        visitor.block(
+            RobustKernel::None,
+            &((turn_rad - self.config.expected_rad) * inv_sigma),
+            || {
+                let mut by_turn = SMatrix::<f64, 3, 9>::zeros();
+                by_turn
+                    .fixed_view_mut::<3, 3>(0, 6)
+                    .fill_diagonal(inv_sigma);
+                by_turn
+            },
+        );
     }
 
     fn step(&self, state: &PoseAndTurn, step: &SVector<f64, 9>) -> PoseAndTurn {

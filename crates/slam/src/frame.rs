@@ -6,11 +6,9 @@ mod grid;
 mod keypoint_depth;
 mod levels;
 
-use garad_core::{
-    Camera, DepthImage, FrameId, Label, LandmarkId, MaskImage, RollingShutter, Se3,
-};
+use garad_core::{Camera, DepthImage, FrameId, Label, LandmarkId, MaskImage, RollingShutter, Se3};
 use garad_features::{Descriptor, Keypoint};
-use nalgebra::{Matrix6, Vector2, Vector3};
+use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use self::depth_planes::DepthPlanes;
@@ -30,6 +28,8 @@ pub struct Frame {
     pub t_s: f64,
     /// Pose of the camera at the middle row.
     pub camera_from_world: Se3,
+    /// Where the camera's motion so far lets it be expected.
+    pub(crate) expected: Option<CentreEstimate>,
     /// What its links say about the pose.
     pub(crate) information: PoseInformation,
     /// How it turned while the image was read out.
@@ -60,6 +60,13 @@ pub struct Frame {
     grid: Grid,
 }
 
+/// The centre of a camera, N(centre, information⁻¹), in world coordinates, metres.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub(crate) struct CentreEstimate {
+    pub(crate) centre_m: Vector3<f64>,
+    pub(crate) information: Matrix3<f64>,
+}
+
 /// What links to landmarks say about the pose of a frame, each with an error of its own.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub(crate) struct PoseInformation {
@@ -78,6 +85,7 @@ impl Frame {
             camera_from_world: self.camera_from_world,
             shutter: self.shutter,
             information: self.information,
+            expected: self.expected,
             keypoints: Vec::new(),
             descriptors: Vec::new(),
             px: Vec::new(),
@@ -144,6 +152,7 @@ impl Frame {
             camera_from_world: Se3::identity(),
             shutter: RollingShutter::global(),
             information: PoseInformation::default(),
+            expected: None,
             landmark: vec![None; keypoints.len()],
             depth_planes,
             keypoints,

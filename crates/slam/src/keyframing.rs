@@ -25,4 +25,6 @@ pub struct Keyframing {
     /// Landmarks still to be confirmed.
     pub(crate) recent: Vec<LandmarkId>,
     pub(crate) loops: LoopCloser,
+    /// Most inliers of a frame since the last keyframe.
+    pub(crate) most_inliers: usize,
 }

@@ -207,6 +207,10 @@ impl Slam {
         pyramid: Option<&LkPyramid>,
         observer: &mut dyn Observer,
     ) -> (usize, Option<FrameLabels>) {
+        if self.tracker.state() == TrackingState::Tracking {
+            let motion = &self.context.config.motion;
+            frame.expected = (self.trajectory).expected_centre(frame.t_s, &self.map, motion);
+        }
         let found = self.tracker.first_pose(
             &self.context,
             &self.map,
@@ -268,10 +272,14 @@ impl Slam {
     }
 
     fn becomes_keyframe(&mut self, frame: &Frame, inliers: usize) -> bool {
-        let (map, reference) = (&self.map, self.tracker.reference());
+        let (map, most) = (&self.map, &mut self.keyframing.most_inliers);
+        *most = inliers.max(*most);
         let becomes = !self.localising
             && (map.keyframes().is_empty()
-                || needs_keyframe(&self.context, map, reference, frame, inliers));
+                || needs_keyframe(&self.context, map, frame, inliers, *most));
+        if becomes {
+            *most = 0;
+        }
         self.recorder.record("keyframe", |record| {
             record.decision(inliers, frame, becomes);
         });

@@ -55,6 +55,7 @@ pub struct Tracker {
     /// The keyframe that shares most landmarks with the last frame.
     reference: KeyframeId,
     relocalised_at: Option<FrameId>,
+    /// Global or rolling.
     shutter: ShutterModel,
 }
 
@@ -136,10 +137,27 @@ impl Tracker {
             (_, None) => false,
             (_, Some(last)) => {
                 let by_motion = self.velocity.is_some_and(|velocity| {
-                    track_motion(context, map, last, &velocity, frame, &self.shutter, recorder)
+                    track_motion(
+                        context,
+                        map,
+                        last,
+                        &velocity,
+                        frame,
+                        &self.shutter,
+                        recorder,
+                    )
                 });
                 let reference = map.keyframe(self.reference);
-                by_motion || track_reference(context, map, last, reference, frame, &self.shutter, recorder)
+                by_motion
+                    || track_reference(
+                        context,
+                        map,
+                        last,
+                        reference,
+                        frame,
+                        &self.shutter,
+                        recorder,
+                    )
             }
         };
         observer.end(stage);
@@ -167,15 +185,20 @@ impl Tracker {
             record.local_map(&local.visible);
             record.links(frame);
         });
-        let mut inliers = refine_pose_with_depth(context, map, frame, MIN_SHARE_LABELLED, &self.shutter, recorder);
+        let mut inliers = refine_pose_with_depth(
+            context,
+            map,
+            frame,
+            MIN_SHARE_LABELLED,
+            &self.shutter,
+            recorder,
+        );
         if let Some(pyramid) = pyramid.filter(|_| context.config.subpixel.enabled && inliers > 0) {
             refine_matches(context, map, images, frame, pyramid, depth, recorder);
-            if let Some(turn) = estimate_shutter(context, map, frame, &self.shutter) && let Some(last) = &self.last {
-                let delta = (frame.camera_from_world * last.camera_from_world.inverse()).rotation.log();
-                self.shutter.update(turn, delta);
-
-            }
+            let turn_rad = estimate_shutter(context, map, frame, &self.shutter);
             inliers = pose_from_links(context, map, frame, recorder);
+            self.shutter
+                .update(turn_rad, &frame.camera_from_world, self.follows(frame));
         }
         if !finished {
             let found = frame.landmark.iter().flatten().copied();
@@ -208,10 +231,15 @@ impl Tracker {
         }
     }
 
+    /// Whether the frame is the next one after the last tracked one.
+    fn follows(&self, frame: &Frame) -> bool {
+        (self.last.as_ref()).is_some_and(|last| last.id.0 + 1 == frame.id.0)
+    }
+
     /// The motion from the last frame to this one, which the next is expected to repeat; none
     /// across a gap. To be called before any adjustment, while both poses are in the same map.
     pub(crate) fn update_velocity(&mut self, frame: &Frame) {
-        let last = self.last.as_ref().filter(|l| l.id.0 + 1 == frame.id.0);
+        let last = self.last.as_ref().filter(|_| self.follows(frame));
         self.velocity = last.map(|last| frame.camera_from_world * last.camera_from_world.inverse());
     }
 
@@ -239,14 +267,15 @@ impl Tracker {
             velocity,
             reference,
             relocalised_at,
-            shutter: _,
+            shutter,
         } = self;
         to.put("state", state)?;
         to.put("last", last)?;
         to.put("last_pyramid", &last_pyramid.as_deref())?;
         to.put("velocity", velocity)?;
         to.put("reference", reference)?;
-        to.put("relocalised_at", relocalised_at)
+        to.put("relocalised_at", relocalised_at)?;
+        to.put("shutter", shutter)
     }
 
     /// Reads what [`Tracker::save`] wrote.
@@ -260,7 +289,7 @@ impl Tracker {
             velocity: from.take("velocity")?,
             reference: from.take("reference")?,
             relocalised_at: from.take("relocalised_at")?,
-            shutter: ShutterModel::new(),
+            shutter: from.take("shutter")?,
         })
     }
 }

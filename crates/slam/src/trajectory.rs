@@ -5,9 +5,9 @@ mod motion;
 use garad_core::{KeyframeId, Se3, StampedPose};
 use serde::{Deserialize, Serialize};
 
-use self::motion::{MeasuredPose, most_likely_path};
+use self::motion::{MeasuredPose, expected_centre, most_likely_path};
 use crate::config::MotionConfig;
-use crate::frame::{Frame, PoseInformation};
+use crate::frame::{CentreEstimate, Frame, PoseInformation};
 use crate::map::Map;
 
 /// A frame's pose relative to a keyframe, so that it moves along when the keyframe is adjusted.
@@ -36,16 +36,31 @@ impl Trajectory {
         });
     }
 
-    /// The most likely path: every tracked frame's pose by the keyframes' poses as they are now, and
-    /// by a camera that has mass ([`motion`]).
-    #[must_use]
-    pub fn stamped(&self, map: &Map, config: &MotionConfig) -> Vec<StampedPose> {
-        let measured = self.0.iter().map(|frame| {
+    /// Where the camera is expected at a time, by its last frames.
+    pub(crate) fn expected_centre(
+        &self,
+        t_s: f64,
+        map: &Map,
+        config: &MotionConfig,
+    ) -> Option<CentreEstimate> {
+        let recent = self.0.len().saturating_sub(motion::MARGIN);
+        expected_centre(&self.measured(recent, map, config), t_s, config)
+    }
+
+    fn measured(&self, from: usize, map: &Map, config: &MotionConfig) -> Vec<MeasuredPose> {
+        let measured = self.0[from..].iter().map(|frame| {
             let reference_from_world = map.keyframe(frame.reference).camera_from_world;
             let camera_from_world = frame.frame_from_reference * reference_from_world;
             MeasuredPose::new(frame.t_s, camera_from_world, &frame.information, config)
         });
-        let path = most_likely_path(&measured.collect::<Vec<_>>(), config);
+        measured.collect()
+    }
+
+    /// The most likely path: every tracked frame's pose by the keyframes' poses as they are now, and
+    /// by a camera that has mass ([`motion`]).
+    #[must_use]
+    pub fn stamped(&self, map: &Map, config: &MotionConfig) -> Vec<StampedPose> {
+        let path = most_likely_path(&self.measured(0, map, config), config);
         let stamped = |(frame, pose): (&TrackedFrame, Se3)| StampedPose {
             t_s: frame.t_s,
             world_from_camera: pose.inverse(),

@@ -8,8 +8,9 @@ use serde::{Deserialize, Serialize};
 pub struct KeyframeConfig {
     /// Keypoints the first frame needs.
     pub first_min_keypoints: usize,
-    /// Fewer inliers than this share of the reference keyframe's landmarks: new keyframe.
-    pub ref_ratio: f64,
+    /// Fewer inliers than this share of the most that a frame since the last keyframe had: new
+    /// keyframe. See decision 016.
+    pub tracked_share: f64,
     /// A frame with fewer inliers than this is too weak to become one.
     pub min_inliers: usize,
     /// At most this many frames between two keyframes (ORB-SLAM: a second's worth); see decision 003.
@@ -35,10 +36,10 @@ impl Default for KeyframeConfig {
     fn default() -> Self {
         Self {
             first_min_keypoints: 100,
-            ref_ratio: 0.75,
+            tracked_share: 0.67,
             min_inliers: 15,
             max_gap: 10,
-            min_gap: 0,
+            min_gap: 3,
             close_m: 6.0,
             close_tracked_min: 100,
             close_untracked_min: 70,

@@ -94,9 +94,9 @@ pub struct TrackingConfig {
 #[serde(rename_all = "lowercase")]
 pub enum DepthResidual {
     /// The reading alone, as a disparity with the sensor's σ.
+    #[default]
     Disparity,
     /// ORB-SLAM's virtual right coordinate, with the σ of the keypoint.
-    #[default]
     Right,
 }
 
@@ -118,8 +118,8 @@ impl Default for TrackingConfig {
             max_local_keyframes: 80,
             shutter_sigma_rad: 0.01,
             bf: 40.0,
-            depth_residual: DepthResidual::Right,
-            disparity_sigma_px: 0.3,
+            depth_residual: DepthResidual::Disparity,
+            disparity_sigma_px: 0.4,
         }
     }
 }

@@ -1,19 +1,23 @@
-//! When a frame becomes a keyframe: ORB-SLAM's RGB-D rules.
-
-use garad_core::KeyframeId;
+//! When a frame becomes a keyframe (decision 016).
+//!
+//! ORB-SLAM compares a frame's inliers with the landmarks of its reference keyframe. How many of
+//! those are found again depends on the sensor, the room and the exposure as much as on the camera's
+//! motion: where the detector repeats itself badly, nearly every frame became a keyframe. What counts
+//! is how much of what was tracked since the last keyframe has been lost.
 
 use crate::context::Context;
 use crate::frame::Frame;
 use crate::map::Map;
 
-/// Whether a tracked frame becomes a keyframe. Mapping counts as always ready: its schedule is fixed
-/// by frame numbers, so there is no queue to ask.
+/// Whether a tracked frame becomes a keyframe; `most_inliers`: of any frame since the last one, this
+/// one included. Mapping counts as always ready: its schedule is fixed by frame numbers, so there is no
+/// queue to ask.
 pub(crate) fn needs_keyframe(
     context: &Context,
     map: &Map,
-    reference: KeyframeId,
     frame: &Frame,
     inliers: usize,
+    most_inliers: usize,
 ) -> bool {
     let config = &context.config.keyframes;
     let since_last = frame.id.0 - map.last_keyframe_frame().0;
@@ -28,21 +32,6 @@ pub(crate) fn needs_keyframe(
         .partition(|&i| frame.landmark[i].is_some());
     let need_close =
         tracked.len() < config.close_tracked_min && untracked.len() > config.close_untracked_min;
-    let confirmed = confirmed_landmarks(map, reference);
-    let few = (inliers as f64) < config.ref_ratio * confirmed as f64;
-    few || need_close || gap >= config.max_gap
-}
-
-/// Landmarks of a keyframe that at least two keyframes observe (one, while there are no more than
-/// two keyframes).
-fn confirmed_landmarks(map: &Map, keyframe: KeyframeId) -> usize {
-    let needed = match map.keyframes().len() {
-        0..=2 => 1,
-        _ => 2,
-    };
-    let landmarks = map.keyframe(keyframe).landmark.iter().flatten();
-    landmarks
-        .filter_map(|l| map.landmark(*l))
-        .filter(|l| l.observations.len() >= needed)
-        .count()
+    let lost_sight = (inliers as f64) < config.tracked_share * most_inliers as f64;
+    lost_sight || need_close || gap >= config.max_gap
 }

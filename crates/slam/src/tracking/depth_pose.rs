@@ -22,7 +22,7 @@ use garad_optim::{LmConfig, PoseObservation, RobustKernel};
 use nalgebra::{Matrix1x6, SVector, Vector6};
 
 use super::observation::observation;
-use super::pose::pose_from_links;
+use super::pose::{centre_prior, pose_from_links};
 use super::shutter::{ShutterModel, estimate_shutter};
 use crate::context::Context;
 use crate::frame::Frame;
@@ -98,7 +98,8 @@ fn pose_with_depth(
         })
     });
     let observations: Vec<_> = observations.collect();
-    let problem = DepthPoseProblem::new(context, planes, &references, observations.clone());
+    let mut problem = DepthPoseProblem::new(context, planes, &references, observations.clone());
+    problem.links.set_prior(centre_prior(frame));
     let before = frame.camera_from_world;
     let (pose, cost) = problem.minimise(before);
     recorder.record("depth_pose", |record| {
@@ -311,7 +312,14 @@ mod tests {
 
     fn refined(world: &World, frame: &mut Frame, min_share: f64) -> usize {
         let recorder = &mut Recorder::default();
-        refine_pose_with_depth(&world.context, &world.map, frame, min_share, &ShutterModel::new(), recorder)
+        refine_pose_with_depth(
+            &world.context,
+            &world.map,
+            frame,
+            min_share,
+            &ShutterModel::new(),
+            recorder,
+        )
     }
 
     fn error_m(pose: &Se3, truth: &Se3) -> f64 {

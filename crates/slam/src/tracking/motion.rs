@@ -58,7 +58,14 @@ pub(crate) fn track_reference(
         && first_pose(context, map, frame, shutter, recorder)
 }
 
-fn first_pose(context: &Context, map: &Map, frame: &mut Frame, shutter: &ShutterModel, recorder: &mut Recorder) -> bool {
-    let inliers = refine_pose_with_depth(context, map, frame, MIN_SHARE_UNLABELLED, shutter, recorder);
+fn first_pose(
+    context: &Context,
+    map: &Map,
+    frame: &mut Frame,
+    shutter: &ShutterModel,
+    recorder: &mut Recorder,
+) -> bool {
+    let inliers =
+        refine_pose_with_depth(context, map, frame, MIN_SHARE_UNLABELLED, shutter, recorder);
     inliers >= context.config.tracking.motion_min_inliers
 }

@@ -1,6 +1,6 @@
 //! The pose of a frame from its links to static landmarks (eq. 11).
 
-use garad_optim::{PoseConfig, optimise_pose};
+use garad_optim::{CentrePrior, PoseConfig, optimise_pose};
 
 use super::observation::observation;
 use crate::context::Context;
@@ -40,7 +40,10 @@ pub(crate) fn pose_from_links(
         &context.camera,
         &observations,
         &before,
-        &pose_config(context),
+        &PoseConfig {
+            prior: centre_prior(frame),
+            ..pose_config(context)
+        },
     )
     .expect("at least three observations, of finite numbers");
     if !solution.camera_from_world.is_finite() {
@@ -60,6 +63,15 @@ pub(crate) fn pose_from_links(
         }
     }
     solution.n_inliers
+}
+
+/// What the camera's motion so far says of the frame's centre.
+pub(crate) fn centre_prior(frame: &Frame) -> Option<CentrePrior> {
+    let expected = frame.expected?;
+    Some(CentrePrior {
+        centre_m: expected.centre_m,
+        root_information: expected.information.cholesky()?.l(),
+    })
 }
 
 /// The settings of eq. 11's solver.

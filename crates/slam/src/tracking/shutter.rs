@@ -1,10 +1,10 @@
 //! The turn of the camera while an image was read out, from the frame's links (decision 014).
 
-use garad_core::RollingShutter;
+use garad_core::chi_square::{CHI2_2DOF_95, CHI2_3DOF_95};
+use garad_core::{RollingShutter, Se3};
+use garad_optim::{PoseAndTurn, PoseObservation, TurnConfig, optimise_pose_and_turn};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
-use garad_core::chi_square::{CHI2_2DOF_95, CHI2_3DOF_95};
-use garad_optim::{PoseAndTurn, PoseObservation, TurnConfig, optimise_pose_and_turn};
 
 use super::observation::observation;
 use crate::context::Context;
@@ -19,7 +19,12 @@ const TRIALS: usize = 5;
 
 /// Estimates pose and turn together over the links to static landmarks, and brings the keypoints to
 /// the middle row. Nothing changes where the shutter is taken for a global one, or with few links.
-pub(crate) fn estimate_shutter(context: &Context, map: &Map, frame: &mut Frame, model: &ShutterModel) -> Option<Vector3<f64>> {
+pub(crate) fn estimate_shutter(
+    context: &Context,
+    map: &Map,
+    frame: &mut Frame,
+    model: &ShutterModel,
+) -> Option<Vector3<f64>> {
     let config = &context.config.tracking;
     if config.shutter_sigma_rad <= 0.0 {
         return None;
@@ -44,11 +49,13 @@ pub(crate) fn estimate_shutter(context: &Context, map: &Map, frame: &mut Frame, 
         camera_from_world: frame.camera_from_world,
         shutter: frame.shutter,
     };
+    let (expected_rad, sigma_rad) = model.expected(frame, config.shutter_sigma_rad);
     let config = TurnConfig {
         bf: config.bf,
         iterations: TRIALS,
         huber: [CHI2_2DOF_95.sqrt(), CHI2_3DOF_95.sqrt()],
-        sigma_rad: config.shutter_sigma_rad,
+        expected_rad,
+        sigma_rad,
     };
     let found = optimise_pose_and_turn(camera, &observations, &initial, &config);
     let turn_rad = found.shutter.turn_rad;
@@ -77,12 +84,14 @@ pub(crate) struct ShutterModel {
     frames: u32,
     /// ω of the last frame and the rotation that leads to it.
     last: Option<[Vector3<f64>; 2]>,
+    /// Its pose.
+    last_camera_from_world: Option<Se3>,
     /// Running means of ω and of Δ.
     means_rad: Option<[Vector3<f64>; 2]>,
 }
 
 /// Frames of the running means.
-const MEAN_FRAMES: f64 = 15.0;
+const MEAN_FRAMES: f64 = 8.0;
 /// From this share on the shutter is a rolling one, ...
 const ROLLING_SHARE: f64 = 0.3;
 /// ... once that is certain: its standard deviations from 0.
@@ -95,6 +104,7 @@ impl ShutterModel {
             products_rad2: [0.0; 3],
             frames: 0,
             last: None,
+            last_camera_from_world: None,
             means_rad: None,
         }
     }
@@ -102,13 +112,36 @@ impl ShutterModel {
     /// r: the share of the time between two frames that reading out takes; 0 for a global shutter, and
     /// until it is certain that there is another one: r ≥ 3 σᵣ, σᵣ² = Σ ‖ω - r Δ‖² / (3 n Σ Δ·Δ).
     pub(crate) fn read_out_share(&self) -> f64 {
-        let [turn_turn, turn_rotation, rotation_rotation] = self.products_rad2;
+        let [_, turn_rotation, rotation_rotation] = self.products_rad2;
         let r = turn_rotation / rotation_rotation;
-        let residuals = turn_turn - r * turn_rotation;
-        let sigma2 = residuals / (3.0 * f64::from(self.frames) * rotation_rotation);
+        let sigma2 = self.residuals(r) / (3.0 * f64::from(self.frames) * rotation_rotation);
         let certain = r * r >= CERTAIN_SIGMAS * CERTAIN_SIGMAS * sigma2;
         // Before the first frames all of these are NaN, which is not certain.
-        if certain && r >= ROLLING_SHARE { r.min(1.0) } else { 0.0 }
+        if certain && r >= ROLLING_SHARE {
+            r.min(1.0)
+        } else {
+            0.0
+        }
+    }
+
+    /// The turn expected of a frame and its standard deviation: the motion's, and how far the turns
+    /// so far strayed from it; `any_rad` about 0 for a shutter not known to be a rolling one.
+    fn expected(&self, frame: &Frame, any_rad: f64) -> (Vector3<f64>, f64) {
+        let r = self.read_out_share();
+        match (&self.means_rad, &self.last_camera_from_world) {
+            (Some([turn, rotation]), Some(last)) if r > 0.0 => {
+                let since_last = (frame.camera_from_world * last.inverse()).rotation.log();
+                let sigma = (self.residuals(r) / (3.0 * f64::from(self.frames))).sqrt();
+                (turn + r * (since_last - rotation), sigma.min(any_rad))
+            }
+            _ => (Vector3::zeros(), any_rad),
+        }
+    }
+
+    /// Σ ‖ω - r Δ‖².
+    fn residuals(&self, r: f64) -> f64 {
+        let [turn_turn, turn_rotation, rotation_rotation] = self.products_rad2;
+        turn_turn - 2.0 * r * turn_rotation + r * r * rotation_rotation
     }
 
     /// The turn to use for a measured one.
@@ -120,8 +153,20 @@ impl ShutterModel {
         }
     }
 
-    /// A frame's measured turn, and its rotation since the frame before it.
-    pub(crate) fn update(&mut self, turn_rad: Vector3<f64>, rotation_rad: Vector3<f64>) {
+    /// The turn measured of a frame, if there was one, and its pose. `follows`: the frame is the next one
+    /// after the last.
+    pub(crate) fn update(
+        &mut self,
+        turn_rad: Option<Vector3<f64>>,
+        camera_from_world: &Se3,
+        follows: bool,
+    ) {
+        let before = self.last_camera_from_world.replace(*camera_from_world);
+        let (Some(turn_rad), Some(before)) = (turn_rad, before.filter(|_| follows)) else {
+            self.last = None;
+            return;
+        };
+        let rotation_rad = (*camera_from_world * before.inverse()).rotation.log();
         let now = [turn_rad, rotation_rad];
         let means = self.means_rad.get_or_insert(now);
         if let Some([turn, rotation]) = self.last {
@@ -136,10 +181,5 @@ impl ShutterModel {
             *mean += (now - *mean) / MEAN_FRAMES;
         }
         self.last = Some(now);
-    }
-
-    /// The next frame does not follow the last one.
-    pub(crate) fn interrupt(&mut self) {
-        self.last = None;
     }
 }

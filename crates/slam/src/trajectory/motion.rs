@@ -11,13 +11,11 @@
 //! hand that trembles turns a camera from frame to frame. The rotation follows the centre so that the
 //! links stay explained: φ = -H_φφ⁻¹ H_φρ ρ, with H the information of the frame's pose.
 
-use std::ops::Range;
-
 use garad_core::Se3;
-use nalgebra::{DMatrix, DVector, Matrix3, Vector3, Vector6};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3, Vector3, Vector6};
 
 use crate::config::MotionConfig;
-use crate::frame::PoseInformation;
+use crate::frame::{CentreEstimate, PoseInformation};
 
 /// Solutions with the weights of the one before.
 const ROUNDS: usize = 3;
@@ -26,7 +24,7 @@ const OUTLIER_SIGMAS: f64 = 3.0;
 /// Frames solved together at most: so many that count, and so many on each side. What lies farther
 /// away changes nothing.
 const WINDOW: usize = 20;
-const MARGIN: usize = 15;
+pub(super) const MARGIN: usize = 15;
 
 /// The pose of a frame by its links alone.
 #[derive(Debug, Clone, Copy)]
@@ -67,6 +65,10 @@ impl MeasuredPose {
         }
     }
 
+    fn centre(&self) -> Vector3<f64> {
+        self.camera_from_world.inverse().translation
+    }
+
     /// The pose with its centre moved.
     fn moved(&self, step: &Vector3<f64>) -> Se3 {
         let rho = -(self.camera_from_world.rotation.matrix() * step);
@@ -83,16 +85,59 @@ pub(super) fn most_likely_path(measured: &[MeasuredPose], config: &MotionConfig)
         let end = (first + WINDOW).min(measured.len());
         let from = first.saturating_sub(MARGIN);
         let together = &measured[from..(end + MARGIN).min(measured.len())];
-        path.extend(solve(together, first - from..end - from, config));
+        let solution = solve(together, config);
+        for k in first - from..end - from {
+            path.push(match &solution {
+                Some(solution) => together[k].moved(&solution.steps[k]),
+                None => together[k].camera_from_world,
+            });
+        }
     }
     path
 }
 
-/// The minimum of F over some frames; returns the poses of `wanted`.
-fn solve(frames: &[MeasuredPose], wanted: Range<usize>, config: &MotionConfig) -> Vec<Se3> {
+/// Where the camera is expected at a time after the last of some frames: the minimum of F with one
+/// frame more, of which nothing is measured. `None` from fewer than three.
+pub(super) fn expected_centre(
+    measured: &[MeasuredPose],
+    t_s: f64,
+    config: &MotionConfig,
+) -> Option<CentreEstimate> {
+    let recent = &measured[measured.len().saturating_sub(MARGIN)..];
+    let last = recent.last()?;
+    let next = MeasuredPose {
+        t_s,
+        information: Matrix3::zeros(),
+        ..*last
+    };
+    let frames: Vec<_> = recent.iter().chain([&next]).copied().collect();
+    if frames.len() < 4 {
+        return None;
+    }
+    let Solution { steps, factors } = solve(&frames, config)?;
     let n = frames.len();
-    let centre = |frame: &MeasuredPose| frame.camera_from_world.inverse().translation;
-    let centres: Vec<_> = frames.iter().map(centre).collect();
+    let mut columns = DMatrix::<f64>::zeros(3 * n, 3);
+    columns
+        .fixed_view_mut::<3, 3>(3 * (n - 1), 0)
+        .fill_with_identity();
+    let covariance = factors.solve(&columns);
+    let covariance = covariance.fixed_view::<3, 3>(3 * (n - 1), 0).into_owned();
+    Some(CentreEstimate {
+        centre_m: next.centre() + steps[n - 1],
+        information: covariance.cholesky()?.inverse(),
+    })
+}
+
+/// The minimum of F: how far each centre moves, and the factors of the matrix of F.
+struct Solution {
+    steps: Vec<Vector3<f64>>,
+    factors: Cholesky<f64, Dyn>,
+}
+
+/// The minimum of F over some frames. `None` if they do not determine it.
+fn solve(frames: &[MeasuredPose], config: &MotionConfig) -> Option<Solution> {
+    let n = frames.len();
+    let centres: Vec<_> = frames.iter().map(MeasuredPose::centre).collect();
     let mut by_motion = DMatrix::<f64>::zeros(n, n);
     let mut gradient = DVector::<f64>::zeros(3 * n);
     for k in 1..n.saturating_sub(1) {
@@ -110,23 +155,23 @@ fn solve(frames: &[MeasuredPose], wanted: Range<usize>, config: &MotionConfig) -
         }
     }
     let by_motion = by_motion.kronecker(&Matrix3::identity());
-    let mut steps = vec![Vector3::zeros(); n];
+    let mut solution = None;
     for _ in 0..ROUNDS {
         let mut hessian = by_motion.clone();
         for (k, frame) in frames.iter().enumerate() {
-            let sigmas = steps[k].dot(&(frame.information * steps[k])).sqrt();
+            let step = (solution.as_ref()).map_or(Vector3::zeros(), |s: &Solution| s.steps[k]);
+            let sigmas = step.dot(&(frame.information * step)).sqrt();
             let weight = OUTLIER_SIGMAS / sigmas.max(OUTLIER_SIGMAS);
             let mut of_frame = hessian.fixed_view_mut::<3, 3>(3 * k, 3 * k);
             of_frame += weight * frame.information;
         }
-        let Some(factors) = hessian.cholesky() else {
-            break; // Frames without information: they stay where they are.
-        };
-        let solution = factors.solve(&-&gradient);
-        for (k, step) in steps.iter_mut().enumerate() {
-            *step = solution.fixed_rows::<3>(3 * k).into_owned();
-        }
+        let factors = hessian.cholesky()?;
+        let steps = factors.solve(&-&gradient);
+        let steps = (0..n).map(|k| steps.fixed_rows::<3>(3 * k).into_owned());
+        solution = Some(Solution {
+            steps: steps.collect(),
+            factors,
+        });
     }
-    let kept = frames.iter().zip(&steps).skip(wanted.start);
-    kept.take(wanted.len()).map(|(f, s)| f.moved(s)).collect()
+    solution
 }
