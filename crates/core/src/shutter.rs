@@ -61,7 +61,7 @@ impl RollingShutter {
     }
 
     /// The recorded (distorted) pixel of an ideal one: the inverse of [`RollingShutter::ideal_pixel`].
-    /// The row decides when the point is seen, and that where: three rounds leave 1e-6 px of it.
+    /// The row decides when the point is seen, and that where: five rounds leave nothing of it.
     #[must_use]
     pub fn recorded_pixel(&self, camera: &Camera, uv_px: &Vector2<f64>) -> Vector2<f64> {
         let mut recorded = camera.distort_pixel(uv_px);
@@ -69,7 +69,7 @@ impl RollingShutter {
             return recorded;
         }
         let ray = camera.unproject(uv_px, 1.0);
-        for _ in 0..3 {
+        for _ in 0..5 {
             let row_time = Self::row_time(recorded.y, camera.height);
             let turned = self.row_from_middle(row_time).matrix() * ray;
             let Some(uv_px) = camera.project(&turned) else {

@@ -92,7 +92,7 @@ fn training_makes_the_map_look_like_the_images() {
 fn any_number_of_threads_trains_the_same_map() {
     let scene = scene();
     let mut config = Config::default();
-    config.keyframes.max_gap = 2; // jobs wait in line behind each other
+    (config.keyframes.min_gap, config.keyframes.max_gap) = (1, 2); // jobs wait in line behind each other
     config.schedule.handover_frames = 3;
     config.train.per_keyframe = 8;
     config.train.per_frame = 2;

@@ -53,6 +53,10 @@ def scene(seed, poses, points, depth_share, outliers):
     )
 
 
+# The third residual: ORB-SLAM's virtual right column, or the disparity alone.
+DISPARITY = False
+
+
 def blocks(data, rotation, t, points, k=K, bf=BF):
     """Whitened rows [M, 3] from poses and points given per observation; the third is 0 without depth."""
     p = (rotation * points[:, None, :]).sum(2) + t
@@ -61,7 +65,7 @@ def blocks(data, rotation, t, points, k=K, bf=BF):
     u = k[0] * x / z + k[2]
     right = np.where(has[:, None], data["right"], 1)
     rows = [(u - data["uv"][:, 0]) / data["sigma"], (k[1] * y / z + k[3] - data["uv"][:, 1]) / data["sigma"],
-            np.where(has, (u - bf / z - right[:, 0]) / right[:, 1], 0)]
+            np.where(has, ((0 if DISPARITY else u) - bf / z - (-right[:, 0] if DISPARITY else right[:, 0])) / right[:, 1], 0)]
     return np.stack(rows, 1), has
 
 

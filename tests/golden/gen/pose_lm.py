@@ -46,6 +46,10 @@ def scene(seed, n, depth_share, outliers, noise=1.0, turn=0.05):
     return dict(p_world=p_world.round(4), uv=uv.round(3), sigma=sigma.round(6), right=right.round(4)), initial
 
 
+# The third residual: ORB-SLAM's virtual right column, or the disparity alone.
+DISPARITY = False
+
+
 def residual_blocks(data, rotation, t, bf, exp=None):
     """Whitened rows [N, 3]; the third is 0 where there is no depth. Works on floats and on mpf."""
     p = data["p_world"] @ np.asarray(rotation).T + np.asarray(t)
@@ -54,7 +58,7 @@ def residual_blocks(data, rotation, t, bf, exp=None):
     u_right, s_right = np.where(has, data["right"][:, 0], 0), np.where(has, data["right"][:, 1], 1)
     u = K[0] * x / z + K[2]
     rows = [(u - data["uv"][:, 0]) / data["sigma"], (K[1] * y / z + K[3] - data["uv"][:, 1]) / data["sigma"],
-            np.where(has, (u - bf / z - u_right) / s_right, 0)]
+            np.where(has, ((0 if DISPARITY else u) - bf / z - (-u_right if DISPARITY else u_right)) / s_right, 0)]
     return np.stack(rows, 1), has
 
 
@@ -66,7 +70,16 @@ def deltas2(has):
     return np.where(has, CHI2_3D, CHI2_2D)
 
 
-def solve_scipy(data, initial, bf, robust):
+def prior_residual(prior, rotation, t):
+    """L^T (c - c0), with its norm bent by Huber's kernel at 3."""
+    centre, root = prior
+    r = root.T @ (-rotation.T @ t - centre)
+    s = r @ r
+    rho = s if s <= 9 else 6 * np.sqrt(s) - 9
+    return r * np.sqrt(rho / max(s, 1e-300))
+
+
+def solve_scipy(data, initial, bf, robust, prior=None):
     start = Rotation.from_matrix(initial[0]).as_rotvec()
 
     def residuals(x):
@@ -74,7 +87,10 @@ def solve_scipy(data, initial, bf, robust):
         s = (r * r).sum(1)
         d2 = deltas2(has)
         rho = np.where(s <= d2, s, 2 * np.sqrt(d2 * s) - d2) if robust else s
-        return (r * np.sqrt(rho / np.maximum(s, 1e-300))[:, None]).ravel()
+        rows = (r * np.sqrt(rho / np.maximum(s, 1e-300))[:, None]).ravel()
+        if prior is None:
+            return rows
+        return np.concatenate([rows, prior_residual(prior, Rotation.from_rotvec(x[:3]).as_matrix(), x[3:])])
 
     found = least_squares(residuals, np.concatenate([start, initial[1]]), xtol=1e-15, ftol=1e-15, gtol=1e-15,
                           x_scale="jac", max_nfev=2000)

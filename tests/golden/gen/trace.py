@@ -129,14 +129,17 @@ def check_pose(checks, run, intrinsics, bf):
     pose_lm.K = tuple(intrinsics)
     data, initial = pose_data(run), (run["before"][:, :3], run["before"][:, 3])
     n = len(data["uv"])
+    prior = (run["prior_centre"], run["prior_root"]) if "prior_root" in run else None
     inlier = np.ones(n, bool)
     for round_ in range(4 if n >= 10 else 1):
         part = {k: v[inlier] for k, v in data.items()}
         robust = round_ <= 2
-        rotation, t = pose_lm.solve_scipy(part, initial, bf, robust)
+        rotation, t = pose_lm.solve_scipy(part, initial, bf, robust, prior)
         s, has = pose_lm.chi2(part, (rotation, t), bf)
         d2 = pose_lm.deltas2(has)
         cost = 0.5 * (np.where(s <= d2, s, 2 * np.sqrt(d2 * s) - d2) if robust else s).sum()
+        if prior is not None:
+            cost += 0.5 * (pose_lm.prior_residual(prior, rotation, t) ** 2).sum()
         s, has = pose_lm.chi2(data, (rotation, t), bf)
         inlier = s <= pose_lm.deltas2(has)
     # Steps end where the cost no longer falls by 1e-9 of itself: 1e-5 in the pose.
@@ -173,6 +176,9 @@ def depth_pose_cost(run, pose, intrinsics, size, config):
     p = run["p_world"] @ pose[:, :3].T + pose[:, 3]
     r = (np.c_[fx * p[:, 0] / p[:, 2] + cx, fy * p[:, 1] / p[:, 2] + cy] - run["uv_px"]) / run["sigma_px"][:, None]
     cost = 0.5 * geman((r ** 2).sum(1), c["outlier_px"]).sum()
+    if "prior_root" in run:
+        prior = run["prior_centre"], run["prior_root"]
+        cost += 0.5 * (pose_lm.prior_residual(prior, pose[:, :3], pose[:, 3]) ** 2).sum()
     others = sum(f"planes_{k}" in run for k in range(c["keyframes"]))
     now = run["planes"][~np.isnan(run["planes"][:, 0])]
     x, y, w = now[:, 0], now[:, 1], now[:, 4]
@@ -438,6 +444,7 @@ def main():
     config = tomllib.loads((folder / "config.toml").read_text())
     camera = index["about"]["camera"]
     intrinsics, bf = camera["fx_fy_cx_cy"], config["tracking"]["bf"]
+    pose_lm.DISPARITY = bundle.DISPARITY = config["tracking"]["depth_residual"] == "disparity"
     checks = Checks()
     get = lambda frame, stage, call=0: runs.get((frame, stage, call))
     for (frame, stage, call), run in runs.items():

@@ -57,6 +57,8 @@ impl Config {
              inside(0.0, self.depth_planes.outlier_sigmas, f64::INFINITY), positive),
             ("depth_planes.outlier_px", self.depth_planes.outlier_px,
              inside(0.0, self.depth_planes.outlier_px, f64::INFINITY), positive),
+            ("keyframes.max_gap", self.keyframes.max_gap as f64,
+             self.keyframes.max_gap >= self.keyframes.min_gap.max(1), "at least 1 and min_gap"),
             ("tracking.shutter_sigma_rad", t.shutter_sigma_rad,
              (0.0..=0.1).contains(&t.shutter_sigma_rad), "a number from 0 to 0.1"),
             ("motion.acceleration_m_s2", self.motion.acceleration_m_s2,

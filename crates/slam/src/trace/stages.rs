@@ -5,7 +5,9 @@ use garad_core::{DepthImage, GaussianMap, GrayImage, Image, Label, LandmarkId, R
 use garad_crf::{Beliefs, Node};
 use garad_features::flow::{FlowFit, FlowPoint, FlowVerification};
 use garad_features::{Descriptor, LkPyramid, LkTrack};
-use garad_optim::{BundleObservation, DepthObservation, PoseObservation, PoseSolution};
+use garad_optim::{
+    BundleObservation, CentrePrior, DepthObservation, PoseObservation, PoseSolution,
+};
 use nalgebra::{Vector2, Vector3};
 
 use super::{NONE, StageRecord, matrix};
@@ -142,7 +144,7 @@ impl StageRecord {
         links: &[PoseObservation],
         planes: &DepthPlanes,
         references: &[(&DepthPlanes, &Se3)],
-        before: &Se3,
+        (prior, before): (Option<&CentrePrior>, &Se3),
         found: (&Se3, f64),
     ) {
         let uv: Vec<Vector2<f64>> = links.iter().map(|o| o.uv_px).collect();
@@ -161,9 +163,20 @@ impl StageRecord {
             self.input(format!("planes_{k}"), PLANE_UNIT, &[5], rows);
             self.pose(false, &format!("pose_{k}"), reference_from_world);
         }
+        self.prior(prior);
         self.pose(false, "before", before);
         self.pose(true, "after", found.0);
         self.output("cost", "1", &[], vec![found.1]);
+    }
+
+    /// What the motion says of the camera's centre: c₀, and L with the information L Lᵀ.
+    fn prior(&mut self, prior: Option<&CentrePrior>) {
+        if let Some(prior) = prior {
+            let centre: Vec<f64> = prior.centre_m.iter().copied().collect();
+            let root = prior.root_information.transpose(); // row by row
+            self.input("prior_centre", "m", &[], centre);
+            self.input("prior_root", "1/m", &[3], root.as_slice().to_vec());
+        }
     }
 
     pub(crate) fn predict(&mut self, last: &Se3, velocity: &Se3, predicted: &Se3) {
@@ -197,6 +210,7 @@ impl StageRecord {
         keypoints: &[usize],
         observations: &[PoseObservation],
         before: &Se3,
+        prior: Option<&CentrePrior>,
         solution: &PoseSolution,
     ) {
         let seen = observations.iter();
@@ -210,6 +224,7 @@ impl StageRecord {
         self.input("sigma_px", "px", &[], sigma);
         self.input("third_px", "px", &[], right);
         self.input("third_sigma_px", "px", &[], right_sigma);
+        self.prior(prior);
         self.pose(false, "before", before);
         self.pose(true, "after", &solution.camera_from_world);
         let inlier = flags(solution.inlier.iter().copied());

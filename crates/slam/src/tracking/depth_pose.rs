@@ -99,11 +99,13 @@ fn pose_with_depth(
     });
     let observations: Vec<_> = observations.collect();
     let mut problem = DepthPoseProblem::new(context, planes, &references, observations.clone());
-    problem.links.set_prior(centre_prior(frame));
+    let prior = centre_prior(frame);
+    problem.links.set_prior(prior);
     let before = frame.camera_from_world;
     let (pose, cost) = problem.minimise(before);
     recorder.record("depth_pose", |record| {
-        record.depth_pose(&observations, planes, &references, &before, (&pose, cost));
+        let before = (prior.as_ref(), &before);
+        record.depth_pose(&observations, planes, &references, before, (&pose, cost));
     });
     pose.is_finite().then_some(pose)
 }

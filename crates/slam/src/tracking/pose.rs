@@ -36,12 +36,13 @@ pub(crate) fn pose_from_links(
         return 0;
     }
     let before = frame.camera_from_world;
+    let prior = centre_prior(frame);
     let solution = optimise_pose(
         &context.camera,
         &observations,
         &before,
         &PoseConfig {
-            prior: centre_prior(frame),
+            prior,
             ..pose_config(context)
         },
     )
@@ -50,7 +51,13 @@ pub(crate) fn pose_from_links(
         return 0;
     }
     recorder.record("pose", |record| {
-        record.pose_lm(&keypoints, &observations, &before, &solution);
+        record.pose_lm(
+            &keypoints,
+            &observations,
+            &before,
+            prior.as_ref(),
+            &solution,
+        );
     });
     frame.camera_from_world = solution.camera_from_world;
     frame.information = PoseInformation {

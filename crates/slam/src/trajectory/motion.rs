@@ -74,7 +74,11 @@ impl MeasuredPose {
         let rho = -(self.camera_from_world.rotation.matrix() * step);
         let phi = self.turn_by_step * rho;
         let xi = Vector6::new(rho.x, rho.y, rho.z, phi.x, phi.y, phi.z);
-        Se3::exp(&xi) * self.camera_from_world
+        let moved = Se3::exp(&xi) * self.camera_from_world;
+        match moved.is_finite() {
+            true => moved,
+            false => self.camera_from_world, // an absurd camera: numbers overflow
+        }
     }
 }
 
@@ -134,7 +138,7 @@ struct Solution {
     factors: Cholesky<f64, Dyn>,
 }
 
-/// The minimum of F over some frames. `None` if they do not determine it.
+/// The minimum of F over some frames. `None` if they do not determine it, or numbers overflow.
 fn solve(frames: &[MeasuredPose], config: &MotionConfig) -> Option<Solution> {
     let n = frames.len();
     let centres: Vec<_> = frames.iter().map(MeasuredPose::centre).collect();
@@ -143,6 +147,9 @@ fn solve(frames: &[MeasuredPose], config: &MotionConfig) -> Option<Solution> {
     for k in 1..n.saturating_sub(1) {
         let before = frames[k].t_s - frames[k - 1].t_s;
         let after = frames[k + 1].t_s - frames[k].t_s;
+        if before * after <= 0.0 {
+            continue; // stamps that say nothing of the time between
+        }
         let sigma = config.acceleration_m_s2 * 0.5 * (before + after);
         let by = [1.0 / before, -1.0 / before - 1.0 / after, 1.0 / after].map(|c| c / sigma);
         let residual = centres[k - 1] * by[0] + centres[k] * by[1] + centres[k + 1] * by[2];
@@ -167,6 +174,9 @@ fn solve(frames: &[MeasuredPose], config: &MotionConfig) -> Option<Solution> {
         }
         let factors = hessian.cholesky()?;
         let steps = factors.solve(&-&gradient);
+        if !steps.iter().all(|s| s.is_finite()) {
+            return None;
+        }
         let steps = (0..n).map(|k| steps.fixed_rows::<3>(3 * k).into_owned());
         solution = Some(Solution {
             steps: steps.collect(),
