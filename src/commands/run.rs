@@ -129,9 +129,6 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         judged.metrics.render_depth = quality.depth;
     }
     output::write(&out, &result, &judged, dataset.warnings())?;
-    if args.localise.is_some() {
-        output::write_frames(&out, &result)?;
-    }
     if result.log.stopped_by.is_none() {
         warn_of_skipped(&result.log.skipped);
     }

@@ -8,8 +8,7 @@
 //! | `report.html` | one page for people |
 //! | `labels/` | what was found to move: `keypoints.csv`, `masks/*.png` (a value per 4 x 4 pixels), `gaussians.csv` (counts per keyframe), `gaussians.ply` (all, with a label) |
 //! | `losses.csv` | loss of training: a row per mapping job (its last iteration) and per iteration of `--refine` |
-//! | `costs.csv` | per frame: milliseconds of tracking and of waiting for the map, memory in use, processor time of all threads since the start (different on every run) |
-//! | `frames.csv` | with `--localise`: which frames were tracked |
+//! | `frames.csv` | per frame: state (tracking, weak, lost), keypoints, share that moves, inliers, keyframe; milliseconds of tracking and of waiting for the map, memory in use, processor time of all threads since the start (these are different on every run) |
 //! | `pictures/` | input, render, depth and keypoints of a few frames |
 //! | `config.toml` | every number as used |
 
@@ -47,7 +46,7 @@ pub fn write(out: &Path, result: &RunResult, judged: &Judged, warnings: &[String
     let map_written = write_ply(&out.join("map.ply"), &map, &PlyOptions::default());
     write_labels(&out.join("labels"), result)?;
     write_text(&out.join("losses.csv"), &tables::losses(result))?;
-    write_text(&out.join("costs.csv"), &tables::costs(result))?;
+    write_text(&out.join("frames.csv"), &tables::frames(result))?;
     let config = crate::config_file::write(result.slam.config())?;
     write_text(&out.join("config.toml"), &config)?;
     write_text(&out.join("metrics.json"), &judged.metrics.to_json())?;
@@ -63,14 +62,6 @@ pub fn write(out: &Path, result: &RunResult, judged: &Judged, warnings: &[String
     write_text(&out.join("report.html"), &report)?;
     map_written?;
     Ok(())
-}
-
-/// Writes `frames.csv`.
-///
-/// # Errors
-/// A file that cannot be written.
-pub fn write_frames(out: &Path, result: &RunResult) -> Result<()> {
-    write_text(&out.join("frames.csv"), &tables::frames(result))
 }
 
 /// Makes a folder for results, with those above it.

@@ -1,10 +1,12 @@
 //! The CSV files of OUT.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use garad_core::Label;
 
 use crate::run::RunResult;
+use crate::usage::FrameCost;
 
 /// `labels/keypoints.csv`: the label of every keypoint of every labelled frame.
 pub(super) fn keypoints(result: &RunResult) -> String {
@@ -29,18 +31,6 @@ pub(super) fn gaussians(result: &RunResult) -> String {
     })
 }
 
-/// `costs.csv`: time and memory, a row per frame.
-pub(super) fn costs(result: &RunResult) -> String {
-    let header = "frame,tracking_ms,waiting_ms,resident_mib,processor_ms";
-    table(header, &result.log.costs, |cost| {
-        let memory = cost.resident_mb.map(|m| format!("{m:.1}"));
-        let processor = cost.processor_ms.map(|p| format!("{p:.0}"));
-        let (memory, processor) = (memory.unwrap_or_default(), processor.unwrap_or_default());
-        let (frame, tracking_ms, waiting_ms) = (cost.frame, cost.tracking_ms, cost.waiting_ms);
-        format!("{frame},{tracking_ms:.2},{waiting_ms:.2},{memory},{processor}")
-    })
-}
-
 /// `losses.csv`: the losses of training. A number is the shortest decimal that reads back as the same
 /// f32, so equal files mean equal bits. A mapping job that did not train has no row.
 pub(super) fn losses(result: &RunResult) -> String {
@@ -59,12 +49,36 @@ pub(super) fn losses(result: &RunResult) -> String {
     table(header, jobs.chain(steps), |row| row)
 }
 
-/// `frames.csv`: whether each frame was tracked.
+/// `frames.csv`: how each frame was tracked, and what it cost. Times, memory and processor time are
+/// different in every run; nothing else is.
 pub(super) fn frames(result: &RunResult) -> String {
-    table("frame,t_s,state,inliers", &result.log.frames, |frame| {
-        let (id, t_s, state) = (frame.id.0, frame.t_s, frame.state.name());
-        format!("{id},{t_s:.6},{state},{}", frame.inliers)
+    let header = "frame,t_s,state,keypoints,moving_share,inliers,keyframe,\
+                  tracking_ms,waiting_ms,resident_mib,processor_ms";
+    let costs: BTreeMap<u32, &FrameCost> = result.log.costs.iter().map(|c| (c.frame, c)).collect();
+    table(header, &result.log.frames, |frame| {
+        let state = match frame.weak {
+            true => "weak",
+            false => frame.state.name(),
+        };
+        let (id, t_s, keypoints, inliers) = (frame.id.0, frame.t_s, frame.keypoints, frame.inliers);
+        let moving_share = frame.dynamic_keypoints as f64 / keypoints.max(1) as f64;
+        let keyframe = frame.keyframe.map(|k| k.0.to_string()).unwrap_or_default();
+        let cost = costs.get(&id).map(|c| cost(c)).unwrap_or_default();
+        format!("{id},{t_s:.6},{state},{keypoints},{moving_share:.4},{inliers},{keyframe},{cost}")
     })
+}
+
+fn cost(cost: &FrameCost) -> String {
+    let memory = cost
+        .resident_mb
+        .map(|m| format!("{m:.1}"))
+        .unwrap_or_default();
+    let processor = cost
+        .processor_ms
+        .map(|p| format!("{p:.0}"))
+        .unwrap_or_default();
+    let (tracking_ms, waiting_ms) = (cost.tracking_ms, cost.waiting_ms);
+    format!("{tracking_ms:.2},{waiting_ms:.2},{memory},{processor}")
 }
 
 fn table<T>(header: &str, rows: impl IntoIterator<Item = T>, line: impl Fn(T) -> String) -> String {

@@ -1,10 +1,10 @@
 //! Time and memory of a long run, frame by frame, as a plot.
 //!
 //! ```text
-//! cargo run --release -p garad-eval --example long_run -- OUT/costs.csv long_run.svg
+//! cargo run --release -p garad-eval --example long_run -- OUT/frames.csv long_run.svg
 //! ```
 //!
-//! `costs.csv` is written by `garad run`. The dark line is the processor time of all threads, a mean of 50
+//! `frames.csv` is written by `garad run`. The dark line is the processor time of all threads, a mean of 50
 //! frames, which does not depend on the load of the machine. The grey line is the wall time of tracking, a
 //! median of 50 frames, which does.
 
@@ -66,9 +66,9 @@ fn main() -> Result<(), Box<dyn Error>> {
 fn read(text: &str) -> Result<Vec<Cost>, usize> {
     let rows = text.lines().enumerate().skip(1);
     rows.map(|(i, line)| {
-        let numbers: Vec<f64> = line.split(',').flat_map(str::parse).collect();
-        match numbers[..] {
-            [_, tracking, _, memory, processor] => Ok([tracking, memory, processor]),
+        let costs: Vec<f64> = line.split(',').skip(7).flat_map(str::parse).collect();
+        match costs[..] {
+            [tracking, _, memory, processor] => Ok([tracking, memory, processor]),
             _ => Err(i + 1),
         }
     })

@@ -79,6 +79,9 @@ pub struct FrameReport {
     pub t_s: f64,
     /// State after the frame.
     pub state: TrackingState,
+    /// Tracked, but by far fewer landmarks than the frames before: blurred, or covered by something
+    /// near. Its pose owes much to the camera's motion, and it does not become a keyframe.
+    pub weak: bool,
     /// ORB features.
     pub keypoints: usize,
     /// Of these on moving things.

@@ -147,6 +147,7 @@ impl Slam {
             id,
             t_s: input.t_s,
             state: self.tracker.state(),
+            weak: self.tracker.is_weak(),
             keypoints: frame.len(),
             dynamic_keypoints: frame.label.iter().filter(is_dynamic).count(),
             inliers,
@@ -275,6 +276,7 @@ impl Slam {
         let (map, most) = (&self.map, &mut self.keyframing.most_inliers);
         *most = inliers.max(*most);
         let becomes = !self.localising
+            && !self.tracker.is_weak()
             && (map.keyframes().is_empty()
                 || needs_keyframe(&self.context, map, frame, inliers, *most));
         if becomes {

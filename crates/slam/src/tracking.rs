@@ -43,6 +43,12 @@ use crate::trace::Recorder;
 /// Frames after a relocalisation that need more inliers: about a second.
 const CAREFUL_FRAMES: u32 = 30;
 
+/// A frame with fewer inliers than this share of the usual number is weak.
+const WEAK_SHARE: f64 = 0.5;
+/// The usual number of inliers is a running mean over so many frames: what was sudden is usual after a
+/// third of a second.
+const USUAL_FRAMES: f64 = 10.0;
+
 /// The state of tracking.
 #[derive(Debug)]
 pub struct Tracker {
@@ -55,6 +61,10 @@ pub struct Tracker {
     /// The keyframe that shares most landmarks with the last frame.
     reference: KeyframeId,
     relocalised_at: Option<FrameId>,
+    /// Inliers of a usual frame; none before the first one and after a loss.
+    usual_inliers: Option<f64>,
+    /// The last frame has far fewer.
+    weak: bool,
     /// Global or rolling.
     shutter: ShutterModel,
 }
@@ -69,6 +79,8 @@ impl Default for Tracker {
             velocity: None,
             reference: KeyframeId(0),
             relocalised_at: None,
+            usual_inliers: None,
+            weak: false,
             shutter: ShutterModel::new(),
         }
     }
@@ -79,6 +91,12 @@ impl Tracker {
     #[must_use]
     pub fn state(&self) -> TrackingState {
         self.state
+    }
+
+    /// Whether the last frame was tracked by far fewer landmarks than is usual.
+    #[must_use]
+    pub fn is_weak(&self) -> bool {
+        self.weak
     }
 
     /// The last tracked frame, with the landmarks its keypoints were linked to.
@@ -207,7 +225,7 @@ impl Tracker {
         inliers
     }
 
-    /// Tracking or lost, by the number of inliers of a frame that was tracked.
+    /// Tracking, weak or lost, by the number of inliers of a frame that was tracked.
     pub(crate) fn update_state(&mut self, context: &Context, frame: FrameId, inliers: usize) {
         let config = &context.config.tracking;
         let was_lost = self.state == TrackingState::Lost;
@@ -222,12 +240,17 @@ impl Tracker {
                 tracing::info!(frame = frame.0, inliers, "relocalised");
             }
             self.state = TrackingState::Tracking;
+            let usual = self.usual_inliers.get_or_insert(inliers as f64);
+            self.weak = (inliers as f64) < WEAK_SHARE * *usual;
+            *usual += (inliers as f64 - *usual) / USUAL_FRAMES;
         } else {
             if !was_lost {
                 tracing::info!(frame = frame.0, inliers, "lost");
             }
             self.state = TrackingState::Lost;
             self.velocity = None;
+            self.usual_inliers = None;
+            self.weak = false;
         }
     }
 
@@ -267,6 +290,8 @@ impl Tracker {
             velocity,
             reference,
             relocalised_at,
+            usual_inliers,
+            weak,
             shutter,
         } = self;
         to.put("state", state)?;
@@ -275,6 +300,8 @@ impl Tracker {
         to.put("velocity", velocity)?;
         to.put("reference", reference)?;
         to.put("relocalised_at", relocalised_at)?;
+        to.put("usual_inliers", usual_inliers)?;
+        to.put("weak", weak)?;
         to.put("shutter", shutter)
     }
 
@@ -289,6 +316,8 @@ impl Tracker {
             velocity: from.take("velocity")?,
             reference: from.take("reference")?,
             relocalised_at: from.take("relocalised_at")?,
+            usual_inliers: from.take("usual_inliers")?,
+            weak: from.take("weak")?,
             shutter: from.take("shutter")?,
         })
     }
