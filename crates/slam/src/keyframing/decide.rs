@@ -35,3 +35,58 @@ pub(crate) fn needs_keyframe(
     let lost_sight = (inliers as f64) < config.tracked_share * most_inliers as f64;
     lost_sight || need_close || gap >= config.max_gap
 }
+
+#[cfg(test)]
+mod tests {
+    use garad_core::{DepthImage, LandmarkId};
+
+    use super::*;
+    use crate::config::Config;
+    use crate::testing::World;
+
+    /// The last keyframe is frame 10. A frame of 300 keypoints on a wall at `depth_m`, the first
+    /// `linked` of them tracked.
+    fn becomes(frame: u32, depth_m: f32, linked: usize, inliers: usize, most: usize) -> bool {
+        let mut config = Config::default();
+        let k = &mut config.keyframes;
+        (k.min_gap, k.max_gap, k.tracked_share, k.min_inliers) = (3, 10, 0.6, 20);
+        (k.close_m, k.close_tracked_min, k.close_untracked_min) = (6.0, 100, 70);
+        let mut world = World::new(config);
+        let depth = DepthImage::new(160, 120, depth_m);
+        let keyframe = world.frame(10, &depth);
+        world.map.add_keyframe(keyframe);
+        let mut now = world.frame(frame, &depth);
+        for landmark in &mut now.landmark[..linked] {
+            *landmark = Some(LandmarkId(0));
+        }
+        needs_keyframe(&world.context, &world.map, &now, inliers, most)
+    }
+
+    #[test]
+    fn what_makes_a_keyframe() {
+        let cases = [
+            ("all is still seen", 15, 2.0, 200, 200, 200, false),
+            ("60 % are left", 15, 2.0, 120, 120, 200, false),
+            ("less", 15, 2.0, 119, 119, 200, true),
+            ("less, but too soon", 12, 2.0, 119, 119, 200, false),
+            ("the first frame that may", 13, 2.0, 119, 119, 200, true),
+            (
+                "few near points are tracked, many are new",
+                15,
+                2.0,
+                99,
+                150,
+                200,
+                true,
+            ),
+            ("the same, but they are far", 15, 7.0, 99, 150, 200, false),
+            ("nine frames", 19, 2.0, 200, 200, 200, false),
+            ("ten frames", 20, 2.0, 200, 200, 200, true),
+            ("ten frames, too weak", 20, 2.0, 200, 19, 200, false),
+        ];
+        for (what, frame, depth_m, linked, inliers, most, expected) in cases {
+            let found = becomes(frame, depth_m, linked, inliers, most);
+            assert_eq!(found, expected, "{what}");
+        }
+    }
+}

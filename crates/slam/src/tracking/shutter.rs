@@ -183,3 +183,94 @@ impl ShutterModel {
         self.last = Some(now);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use garad_core::{Rng, So3};
+
+    use super::*;
+
+    /// A hand that trembles at 5 Hz and pans, seen at 30 Hz by a camera whose rows take the share `r`
+    /// of the time between frames; the turn is measured to `noise_rad`.
+    fn tremble(r: f64, noise_rad: f64, frames: u32) -> ShutterModel {
+        let sin = |phase: f64| So3::exp(&Vector3::new(0.0, 0.0, phase)).matrix()[(1, 0)];
+        let angle = |t: f64| {
+            let phase = std::f64::consts::TAU * 5.0 * t;
+            Vector3::new(0.006 * sin(phase), 0.004 * sin(1.3 * phase + 1.5), 0.2 * t)
+        };
+        let mut rng = Rng::new(1);
+        let mut model = ShutterModel::new();
+        for k in 0..frames {
+            let t = f64::from(k) / 30.0;
+            let half = 0.5 * r / 30.0;
+            let turn = angle(t + half) - angle(t - half);
+            let noise = Vector3::from_fn(|_, _| noise_rad * rng.normal());
+            let pose = Se3::new(So3::exp(&angle(t)), Vector3::zeros());
+            model.update(Some(turn + noise), &pose, k > 0);
+        }
+        model
+    }
+
+    #[test]
+    fn the_read_out_share_is_found() {
+        for r in [0.5, 0.8, 1.0] {
+            let found = tremble(r, 2e-4, 60).read_out_share();
+            // Between two frames the tremble is not uniform: a tenth.
+            assert!((found - r).abs() < 0.15 * r, "{found} for {r}");
+        }
+    }
+
+    #[test]
+    fn a_global_shutter_and_a_camera_at_rest_are_not_corrected() {
+        for frames in [5, 30, 300] {
+            let model = tremble(0.0, 5e-4, frames);
+            assert!(model.read_out_share() == 0.0, "{model:?}");
+            let measured = Vector3::new(1e-3, 0.0, 0.0);
+            assert_eq!(
+                model.corrected(measured),
+                Vector3::zeros(),
+                "{frames} frames"
+            );
+        }
+        let mut still = ShutterModel::new();
+        for k in 0..50 {
+            still.update(Some(Vector3::zeros()), &Se3::identity(), k > 0);
+        }
+        assert!(still.read_out_share() == 0.0, "nothing is known: {still:?}");
+    }
+
+    /// Two frames are no evidence, however well they fit.
+    #[test]
+    fn a_rolling_shutter_must_be_certain() {
+        assert!(tremble(0.8, 2e-4, 3).read_out_share() == 0.0);
+    }
+
+    /// An offset of all turns is not the camera's: it is a bent image.
+    #[test]
+    fn what_all_turns_share_is_subtracted() {
+        let mut model = tremble(0.8, 0.0, 60);
+        let offset = Vector3::new(3e-3, 0.0, 0.0);
+        let pan = So3::exp(&Vector3::new(0.0, 0.0, 0.2 / 30.0));
+        let mut pose = model.last_camera_from_world.expect("60 frames");
+        for _ in 0..60 {
+            pose = Se3::new(pan, Vector3::zeros()) * pose;
+            let turn = model.read_out_share() * pan.log() + offset;
+            model.update(Some(turn), &pose, true);
+        }
+        let turn = model.read_out_share() * pan.log();
+        let left = (model.corrected(turn + offset) - turn).norm();
+        assert!(left < 2e-4, "{left} rad of 3e-3 are left");
+    }
+
+    #[test]
+    fn a_gap_is_no_rotation() {
+        let before = tremble(0.8, 2e-4, 60);
+        let mut after = before.clone();
+        let elsewhere = Se3::new(So3::exp(&Vector3::new(0.0, 1.0, 0.0)), Vector3::zeros());
+        after.update(Some(Vector3::zeros()), &elsewhere, false);
+        assert_eq!(
+            before.products_rad2, after.products_rad2,
+            "no pair of frames"
+        );
+    }
+}
