@@ -5,13 +5,13 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand, ValueEnum};
 use garad_eval::plot::{trajectory_panel, widest_planes};
-use garad_eval::{Alignment, AteOptions, RpeDelta, RpeOptions, Stats, ate, rpe};
+use garad_eval::{Alignment, AteOptions, RpeDelta, RpeOptions, Stats, ate, jitter, rpe};
 
 use super::{eval_render, read_poses, say};
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Absolute and relative trajectory error of an estimate.
+    /// Absolute and relative trajectory error and jitter of an estimate.
     Trajectory(TrajectoryArgs),
     /// PSNR and SSIM of the map over all frames, rendered from their estimated poses.
     Render(eval_render::Args),
@@ -83,6 +83,7 @@ fn trajectory(args: &TrajectoryArgs) -> Result<()> {
             max_dt_s: args.max_dt,
         },
     );
+    let jitter = jitter(&ground_truth, &estimate, args.max_dt);
     if let Some(path) = &args.plot {
         let [plane, _] = widest_planes(&judged.points);
         let svg = trajectory_panel(&judged.points, plane, &[])?;
@@ -98,6 +99,11 @@ fn trajectory(args: &TrajectoryArgs) -> Result<()> {
                 "trans_m": to_json(&r.trans_m),
                 "rot_deg": to_json(&r.rot_deg),
             })),
+            "jitter": jitter.as_ref().ok().map(|j| serde_json::json!({
+                "rms_m": j.rms_m,
+                "ground_truth_rms_m": j.ground_truth_rms_m,
+                "triples": j.triples,
+            })),
         });
         return say(&serde_json::to_string_pretty(&figures)?);
     }
@@ -111,9 +117,18 @@ fn trajectory(args: &TrajectoryArgs) -> Result<()> {
         Ok(relative) => {
             let per = format!("per {} s", args.rpe_delta);
             say(&format!("RPE [m]    {}  {per}", row(&relative.trans_m)))?;
-            say(&format!("RPE [deg]  {}  {per}", row(&relative.rot_deg)))
+            say(&format!("RPE [deg]  {}  {per}", row(&relative.rot_deg)))?;
         }
-        Err(error) => say(&format!("RPE        cannot be judged: {error}")),
+        Err(error) => say(&format!("RPE        cannot be judged: {error}"))?,
+    }
+    match jitter {
+        Ok(jitter) => say(&format!(
+            "jitter [mm]  rms {:.3}, of the ground truth {:.3}  ({} triples)",
+            1e3 * jitter.rms_m,
+            1e3 * jitter.ground_truth_rms_m,
+            jitter.triples
+        )),
+        Err(error) => say(&format!("jitter     cannot be judged: {error}")),
     }
 }
 

@@ -1,7 +1,7 @@
 //! [`Judged`]: the figures of a run.
 
 use garad_core::{Label, StampedPose};
-use garad_eval::{Ate, AteOptions, Metrics, RpeOptions, ate, rpe};
+use garad_eval::{Ate, AteOptions, MAX_DT_S, Metrics, RpeOptions, ate, jitter, rpe};
 
 use crate::run::RunResult;
 use crate::usage::peak_resident_mb;
@@ -56,6 +56,11 @@ impl Judged {
             ground_truth.map(|truth| rpe(truth, &result.trajectory, &RpeOptions::default()))
         {
             metrics.rpe = (&rpe).into();
+        }
+        if let Some(Ok(jitter)) =
+            ground_truth.map(|truth| jitter(truth, &result.trajectory, MAX_DT_S))
+        {
+            metrics.jitter = (&jitter).into();
         }
         Self {
             metrics,
@@ -123,6 +128,13 @@ impl Judged {
                 ));
                 if let (Some(t), Some(r)) = (m.rpe.trans_rmse_m_per_s, m.rpe.rot_rmse_deg_per_s) {
                     lines.push(format!("RPE        {t:.4} m/s, {r:.3} deg/s (rmse)"));
+                }
+                if let (Some(rms), Some(truth)) = (m.jitter.rms_m, m.jitter.ground_truth_rms_m) {
+                    lines.push(format!(
+                        "jitter [mm]  rms {:.2}, of the ground truth {:.2}",
+                        1e3 * rms,
+                        1e3 * truth
+                    ));
                 }
                 lines.push(format!("protocol   {}", self.protocol));
             }

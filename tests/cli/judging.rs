@@ -63,6 +63,7 @@ fn a_path_against_itself() {
         "ATE [m]    rmse 0.000000  mean 0.000000",
         "40 pairs",
         "per 1 s",
+        "jitter [mm]  rms ",
     ] {
         assert!(answer.out.contains(line), "`{line}`: {answer:?}");
     }
@@ -74,6 +75,11 @@ fn a_path_against_itself() {
         assert_close(&figures["rpe"]["trans_m"][figure], 0.0);
     }
     assert_eq!(figures["ate"]["pairs"], 40, "{figures}");
+    assert_eq!(figures["jitter"]["triples"], 38, "{figures}");
+    assert_eq!(
+        figures["jitter"]["rms_m"], figures["jitter"]["ground_truth_rms_m"],
+        "one path"
+    );
     // A second lies between frames 0 and 30, ..., 9 and 39; intervals do not overlap.
     assert!(
         figures["rpe"]["trans_m"]["pairs"].as_u64() >= Some(1),
@@ -94,6 +100,9 @@ fn alignment_removes_motion_and_scale() {
     assert_close(&judge(&bench, &["--align", "sim3"])["ate"]["rmse"], 0.0);
     let rigid = judge(&bench, &[]);
     assert!(rigid["ate"]["rmse"].as_f64() > Some(0.5), "{rigid}");
+    // Steps of 1 m, each round a corner: sqrt(2) m, and twice that in the larger one.
+    assert_close(&rigid["jitter"]["ground_truth_rms_m"], 2f64.sqrt());
+    assert_close(&rigid["jitter"]["rms_m"], 8f64.sqrt());
     // Twice as fast: in 1 s (two steps of 1 m round a corner) too far by sqrt(2) m.
     assert_close(&rigid["rpe"]["trans_m"]["min"], 2f64.sqrt());
     assert!(
@@ -102,6 +111,21 @@ fn alignment_removes_motion_and_scale() {
             .is_some_and(|p| p.contains("rigid")),
         "{rigid}"
     );
+}
+
+/// Poses after 0, 0.5 and 2 s: no step is close to the median of 1 s.
+#[test]
+fn jitter_that_cannot_be_judged_is_left_out_with_the_reason() {
+    let text = path(&TRUTH);
+    let lines = text.lines().enumerate();
+    let uneven: Vec<_> = lines.filter(|(i, _)| [1, 2, 5].contains(i)).collect();
+    let uneven: String = uneven.iter().map(|(_, line)| format!("{line}\n")).collect();
+    let bench = bench_with(&uneven);
+    let files = [bench.path("truth.txt"), bench.path("estimate.txt")];
+    let answer = garad(["eval", "trajectory", arg(&files[0]), arg(&files[1])]).succeeds();
+    let words = "jitter     cannot be judged: 0 triples of frames at equal time steps";
+    assert!(answer.out.contains(words), "{answer:?}");
+    assert!(judge(&bench, &[])["jitter"].is_null(), "no figure");
 }
 
 #[test]

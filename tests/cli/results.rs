@@ -25,6 +25,8 @@ const KEYS: &[&str] = &[
     "/ate/pairs",
     "/rpe/trans_rmse_m_per_s",
     "/rpe/rot_rmse_deg_per_s",
+    "/jitter/rms_m",
+    "/jitter/ground_truth_rms_m",
     "/render/psnr_db",
     "/render/ssim",
     "/render_static/psnr_db",
@@ -57,6 +59,8 @@ const JUDGED: &[&str] = &[
     "/ate/pairs",
     "/rpe/trans_rmse_m_per_s",
     "/rpe/rot_rmse_deg_per_s",
+    "/jitter/rms_m",
+    "/jitter/ground_truth_rms_m",
     "/map/gaussians",
     "/map/dynamic",
     "/timing/frame/median_ms",
@@ -66,7 +70,13 @@ const JUDGED: &[&str] = &[
 fn a_run_writes_all_results() {
     let bench = Bench::empty();
     let answer = run_into(long(), &bench.out(), &[]).succeeds();
-    for words in ["40 of 40 frames", "ATE [m]", "RPE", "results in"] {
+    for words in [
+        "40 of 40 frames",
+        "ATE [m]",
+        "RPE",
+        "jitter [mm]",
+        "results in",
+    ] {
         assert!(answer.out.contains(words), "`{words}`: {answer:?}");
     }
     for name in STABLE {
@@ -222,6 +232,9 @@ fn without_ground_truth_nothing_is_judged() {
         assert!(metrics["ate"][figure].is_null(), "{figure}: {metrics}");
     }
     assert!(metrics["rpe"]["trans_rmse_m_per_s"].is_null(), "{metrics}");
+    for figure in ["rms_m", "ground_truth_rms_m"] {
+        assert!(metrics["jitter"][figure].is_null(), "{figure}: {metrics}");
+    }
     assert_eq!(metrics["tracked"], 6, "{metrics}");
     let report = fs::read_to_string(bench.out().join("report.html")).expect("a report");
     assert!(report.contains(words), "the report says so");

@@ -1,7 +1,7 @@
 //! Evaluation of a run: trajectories, images, labels; `metrics.json` and `report.html`.
 //!
 //! Reading order: [`mod@associate`] (pairs of poses by time) → [`align`] (the best rigid motion between
-//! two point lists) → [`mod@ate`], [`mod@rpe`] (trajectory errors, as in the papers) →
+//! two point lists) → [`mod@ate`], [`mod@rpe`] (trajectory errors, as in the papers), [`mod@jitter`] →
 //! [`image_metrics`], [`depth`], [`mod@ghosts`], [`labels`] (images and segmentations) → [`metrics`]
 //! (`metrics.json`) → [`plot`], [`report`] (`report.html`).
 //!
@@ -14,6 +14,7 @@ pub mod depth;
 pub mod error;
 pub mod ghosts;
 pub mod image_metrics;
+pub mod jitter;
 pub mod labels;
 pub mod metrics;
 pub mod plot;
@@ -28,6 +29,7 @@ pub use depth::{DepthL1, depth_l1};
 pub use error::EvalError;
 pub use ghosts::{GHOST_GAP_M, Ghosts, ghosts};
 pub use image_metrics::{ImageQuality, compare_images, psnr_db, ssim, ssim_map};
+pub use jitter::{Jitter, jitter};
 pub use labels::{Confusion, FrameLabels, RunLabels};
 pub use metrics::{DepthMetrics, Metrics, RenderMetrics, StageTiming};
 pub use report::{FrameState, ReportData, Strip};

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Ate, Confusion, Rpe, RunLabels};
+use crate::{Ate, Confusion, Jitter, Rpe, RunLabels};
 
 /// Version of the layout; increased when the meaning of a key changes or a key is removed.
 pub const SCHEMA: u32 = 1;
@@ -30,6 +30,9 @@ pub struct Metrics {
     pub ate: AteMetrics,
     /// Relative pose error over 1 s.
     pub rpe: RpeMetrics,
+    /// Second differences of the positions.
+    #[serde(default)]
+    pub jitter: JitterMetrics,
     /// All frames, whole image.
     pub render: RenderMetrics,
     /// All frames, outside the moving mask.
@@ -73,6 +76,15 @@ pub struct RpeMetrics {
     pub trans_rmse_m_per_s: Option<f64>,
     /// Root mean square of the rotation error, degrees per second.
     pub rot_rmse_deg_per_s: Option<f64>,
+}
+
+/// See [`crate::jitter()`].
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct JitterMetrics {
+    /// Root mean square, metres.
+    pub rms_m: Option<f64>,
+    /// The same of the ground truth at the same stamps, metres.
+    pub ground_truth_rms_m: Option<f64>,
 }
 
 /// See [`crate::image_metrics`]; means over frames.
@@ -209,6 +221,15 @@ impl From<&Rpe> for RpeMetrics {
     }
 }
 
+impl From<&Jitter> for JitterMetrics {
+    fn from(jitter: &Jitter) -> Self {
+        Self {
+            rms_m: Some(jitter.rms_m),
+            ground_truth_rms_m: Some(jitter.ground_truth_rms_m),
+        }
+    }
+}
+
 impl From<&RunLabels> for LabelMetrics {
     /// `None` in figures that are undefined.
     fn from(run: &RunLabels) -> Self {
@@ -292,6 +313,7 @@ mod tests {
         let mut expected: Vec<&str> = "schema version dataset frames tracked threads \
             ate.rmse_m ate.mean_m ate.median_m ate.std_m ate.max_m ate.pairs \
             rpe.trans_rmse_m_per_s rpe.rot_rmse_deg_per_s \
+            jitter.rms_m jitter.ground_truth_rms_m \
             render.psnr_db render.ssim render_static.psnr_db render_static.ssim \
             render_depth.l1_m render_depth.coverage render_depth.ghosts \
             labels.keypoints.precision labels.keypoints.recall labels.keypoints.f1 labels.keypoints.wrongly_dynamic \

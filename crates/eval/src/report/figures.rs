@@ -64,6 +64,9 @@ pub(super) fn headline(data: &ReportData<'_>) -> Markup {
             @if let (Some(trans), Some(rot)) = (m.rpe.trans_rmse_m_per_s, m.rpe.rot_rmse_deg_per_s) {
                 (card("Drift (RPE, RMSE)", &length(trans, "/s"), &format!("{rot:.2}°/s in rotation")))
             }
+            @if let (Some(rms), Some(truth)) = (m.jitter.rms_m, m.jitter.ground_truth_rms_m) {
+                (card("Jitter (RMS)", &length(rms, ""), &format!("ground truth {}", length(truth, ""))))
+            }
             (tracked_card(m))
             @if let Some(wall_s) = m.wall_s.filter(|&s| s > 0.0) {
                 (card("Frames per second", &format!("{:.1}", m.frames as f64 / wall_s), &threads(m)))

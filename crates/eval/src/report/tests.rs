@@ -2,7 +2,7 @@ use garad_core::{Image, Real, RgbImage, Rng, Se3, So3, StampedPose};
 use nalgebra::Vector3;
 
 use super::*;
-use crate::metrics::RpeMetrics;
+use crate::metrics::{JitterMetrics, RpeMetrics};
 use crate::{Ate, AteOptions, ImageQuality, Metrics, StageTiming, ate};
 
 /// A walk, an estimate of it that is lost for a while, and all that belongs on the page.
@@ -53,6 +53,10 @@ fn sample() -> Sample {
     metrics.rpe = RpeMetrics {
         trans_rmse_m_per_s: Some(0.0213),
         rot_rmse_deg_per_s: Some(0.64),
+    };
+    metrics.jitter = JitterMetrics {
+        rms_m: Some(0.001_54),
+        ground_truth_rms_m: Some(0.001_62),
     };
     metrics.render.psnr_db = Some(19.4);
     metrics.render.ssim = Some(0.71);
@@ -158,6 +162,8 @@ fn a_whole_page() {
         PROTOCOL,
         "91.7 %",
         "2.13 cm/s",
+        "1.54 mm",
+        "ground truth 1.62 mm",
         "124\u{202f}532",
         "could not be read &lt;skipped&gt;",
         "lost: 20",
