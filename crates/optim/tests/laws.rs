@@ -4,7 +4,7 @@ mod common;
 
 use std::cell::Cell;
 
-use garad_core::{Camera, Rng, Se3, So3};
+use garad_core::{Rng, Se3, So3};
 use garad_optim::dense::{Cost, Dense, NormalEquations, Problem, Recorder, Visitor};
 use garad_optim::lm::{LmConfig, Report, StopReason, Trial, minimise, minimise_observed};
 use garad_optim::pose::PoseProblem;

@@ -4,15 +4,15 @@ use garad_core::{Camera, Rng, Se3, So3};
 use garad_optim::{DepthObservation, PoseObservation};
 use nalgebra::{Vector2, Vector3};
 
-pub fn camera() -> Camera {
+pub(crate) fn camera() -> Camera {
     Camera::pinhole((640, 480), [535.4, 539.2, 320.1, 247.6]).expect("valid")
 }
 
-pub const BF: f64 = 40.0;
+pub(crate) const BF: f64 = 40.0;
 
 /// Points before a camera at `truth`, seen without noise; every second one with depth, in both
 /// forms by turns.
-pub fn observations(truth: &Se3, n: usize, seed: u64) -> Vec<PoseObservation> {
+pub(crate) fn observations(truth: &Se3, n: usize, seed: u64) -> Vec<PoseObservation> {
     let mut rng = Rng::keyed(seed, &[n as u64]);
     (0..n)
         .map(|i| {
@@ -35,7 +35,7 @@ pub fn observations(truth: &Se3, n: usize, seed: u64) -> Vec<PoseObservation> {
         .collect()
 }
 
-pub fn truth() -> Se3 {
+pub(crate) fn truth() -> Se3 {
     Se3::new(
         So3::exp(&Vector3::new(0.3, -0.5, 0.2)),
         Vector3::new(0.4, -0.2, 0.7),
