@@ -116,6 +116,7 @@ pub const STAGES: &[(&str, &[Form])] = &[
         Form::f32("reference in f32", |i, par| losses::losses::<f32>(i, par, loss::reference::ssim, loss::reference::photometric)),
         Form::f32("sweep in f32", |i, par| losses::losses::<f32>(i, par, loss::ssim, loss::photometric)),
     ]),
+    ("knn_scale", &[Form::only(|i, _| training::knn_scale(i))]),
     ("adam", &[
         Form::f64("f64", |i, _| training::adam::<f64>(i)),
         Form::f32("f32", |i, _| training::adam::<f32>(i)),

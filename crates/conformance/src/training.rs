@@ -1,14 +1,30 @@
-//! The optimiser, and whole iterations: render, losses, backward pass, step.
+//! Initial scales, the optimiser, and whole iterations: render, losses, backward pass, step.
 
 use garad_core::{GaussianMap, Par, Real};
 use garad_golden::{InputError, Inputs};
 use garad_optim::{Adam, AdamConfig};
 use garad_raster::losses::{depth_l1, opacity_penalty, photometric};
-use garad_raster::{Gradients, Include, RenderOptions, Upstream};
+use garad_raster::{
+    Gradients, Include, RenderOptions, Upstream, knn_scales_m, rms_neighbour_distances_m,
+};
 
 use crate::convert::{channels, gray, has, labels, plane, reals};
 use crate::outputs::{Answer, Element, Error, Outputs};
 use crate::raster::{Engine, camera, map, pose, put_gradients};
+
+/// Scales of the points from `first` on.
+pub(crate) fn knn_scale(inputs: &Inputs) -> Answer {
+    let (points, first) = (inputs.rows::<3>("points")?, inputs.count("first")?);
+    let footprints = inputs.reals("footprints")?;
+    if points.len().checked_sub(first) != Some(footprints.len()) {
+        return Err("points and footprints do not have matching sizes".into());
+    }
+    let mut out = Outputs::default();
+    let distances = rms_neighbour_distances_m(&points, first..points.len());
+    out.put("distance", distances);
+    out.put("scale", knn_scales_m(&points, first, &footprints));
+    Ok(out)
+}
 
 fn adam_config(inputs: &Inputs) -> Result<AdamConfig, InputError> {
     Ok(AdamConfig {

@@ -79,6 +79,7 @@ stages! {
     fn raster();
     fn raster_backward();
     fn losses();
+    fn knn_scale();
     fn adam();
     fn train_step();
     fn trajectory();

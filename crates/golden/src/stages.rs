@@ -62,6 +62,7 @@ pub const STAGES: &[Stage] = &[
     stage("raster", "forward", &["projection_covariance", "sh"], "images of a map"),
     stage("raster_backward", "backward", &["projection_covariance", "sh", "raster"], "gradients by every parameter and by the pose"),
     stage("losses", "l1/ssim and gradients", &[], "L1, SSIM, their mix, depth, opacity penalty, with gradients"),
+    stage("knn_scale", "initial scales", &[], "points to the scales of new Gaussians, by three neighbours each"),
     stage("adam", "adam", &[], "parameters after every step"),
     stage("train_step", "one training iteration", &["raster", "raster_backward", "losses", "adam"], "a map after one iteration"),
     stage("trajectory", "judging", &["associate"], "alignment, ATE, RPE"),

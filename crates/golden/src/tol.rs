@@ -93,6 +93,8 @@ pub const TABLE: &[Tolerance] = &[
     abs_rel("sh.basis", 1e-15, 0.0, "measured 2.2e-16: three products and a sum, coefficients up to 3"),
     abs_rel("sh.gradient", 2e-15, 0.0, "measured 3.3e-16: derivatives up to 5, projected onto the tangent plane"),
     abs_rel("sh.color", 1.5e-15, 0.0, "measured 3.3e-16: a sum of 16 products of size 0.5"),
+    // knn_scale
+    abs_rel("knn_scale.scale", 0.0, 1e-15, "measured 2.9e-16: squares of differences, a sum of positive terms, a root"),
     // train_step: gradients through the losses, then Adam
     abs_rel("train_step.loss", 0.0, 4e-15, "measured 1e-15: sums over a thousand pixels"),
     vector("train_step.gradient", 0.0, 1.5e-14, "measured 3.3e-15: losses.gradient on an image with texture, through the backward pass"),

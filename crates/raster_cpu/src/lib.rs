@@ -11,7 +11,7 @@
 //! Reading order: `options`, `splat` → `render` → `view` → `covariance`, `color`, `project` → `bin`
 //! → `composite`, `splat_gradient`, then `backward`, [`losses`]. The backward pass of each step
 //! stands below it in the same file. Here are plain loops over pixels and sorted splats; what makes
-//! them fast is in [`fast`].
+//! them fast is in [`fast`]. `knn_scale` has the initial scales of new Gaussians.
 //!
 //! Formulas are numbered R1, R2, ... and derived in `docs/math.md`. Constants and
 //! cuts are those of the CUDA rasterizer of 3D Gaussian Splatting, so that trained maps give the
@@ -28,6 +28,7 @@ mod composite;
 mod covariance;
 mod error;
 pub mod fast;
+mod knn_scale;
 pub mod losses;
 mod options;
 mod project;
@@ -43,6 +44,9 @@ pub use backward::{Gradients, backward};
 pub use composite::{MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
 pub use covariance::BLUR_PX2;
 pub use error::RasterError;
+pub use knn_scale::{
+    MAX_FOOTPRINTS, MIN_FOOTPRINTS, NEIGHBOURS, knn_scales_m, rms_neighbour_distances_m,
+};
 pub use options::{ClampGradient, Include, MAX_SIDE_PX, RenderOptions};
 pub use project::{FOOTPRINT_CELL_PX, NEAR_M};
 pub use render::render;

@@ -16,7 +16,8 @@ use serde::{Deserialize, Serialize};
 pub use keyframing::{CullingConfig, KeyframeConfig, LocalBaConfig, LoopConfig};
 pub use labels::{LabelConfig, PatchMotionConfig, TaggedLabels};
 pub use mapping::{
-    DensifyConfig, InsertionConfig, Optimiser, RateConfig, ScheduleConfig, TrainConfig,
+    DensifyConfig, InitialScale, InsertionConfig, Optimiser, RateConfig, ScheduleConfig,
+    TrainConfig,
 };
 pub use tracking::{
     DepthPlanesConfig, DepthResidual, FeatureConfig, MotionConfig, SubpixelConfig, TrackingConfig,

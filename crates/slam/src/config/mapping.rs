@@ -10,7 +10,10 @@ pub struct InsertionConfig {
     pub enabled: bool,
     /// One candidate every so many pixels, each way.
     pub stride_px: usize,
-    /// Standard deviation as a multiple of the candidate's footprint `stride * z / f`.
+    /// Where the standard deviation of a new Gaussian comes from.
+    pub scale: InitialScale,
+    /// Standard deviation as a multiple of the candidate's footprint `stride * z / f`, if it comes from
+    /// that.
     pub footprint: f64,
     /// Opacity of a new Gaussian.
     pub opacity: f64,
@@ -24,11 +27,24 @@ pub struct InsertionConfig {
     pub max_gaussians: usize,
 }
 
+/// Where the standard deviation of a new Gaussian comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum InitialScale {
+    /// `footprint` times the distance between neighbouring samples at its depth.
+    #[default]
+    Footprint,
+    /// The distances to the three nearest other Gaussians, as in 3D Gaussian Splatting
+    /// ([`garad_raster::knn_scales_m`]): the static ones of the map, and those of the same keyframe.
+    Neighbours,
+}
+
 impl Default for InsertionConfig {
     fn default() -> Self {
         Self {
             enabled: true,
             stride_px: 4,
+            scale: InitialScale::Footprint,
             footprint: 0.6,
             opacity: 0.9,
             explained_opacity: 0.6,

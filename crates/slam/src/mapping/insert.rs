@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 
 use garad_core::{GaussianMap, Label, LandmarkId, NewGaussian, Real, Se3};
-use garad_raster::{RasterError, RenderOptions, Rendered, fast};
+use garad_raster::{RasterError, RenderOptions, Rendered, fast, knn_scales_m};
 use nalgebra::{Vector2, Vector3};
 
 use super::job::MappingJob;
@@ -24,7 +24,7 @@ const TOO_NEAR: f64 = 0.5;
 /// pose, does not explain: little opacity, or a surface behind the measured one.
 ///
 /// Standard deviation: `footprint` times the distance between neighbouring samples,
-/// stride · z / f. Pixels that move, and those within one stride of them, make no Gaussian. Nor do those
+/// stride · z / f ([`scale_by_neighbours`] may replace it). Pixels that move, and those within one stride of them, make no Gaussian. Nor do those
 /// within half a stride of a Gaussian of the same surface: one that exists and does not fill its pixel
 /// is to be trained, not doubled.
 ///
@@ -120,9 +120,8 @@ fn new_gaussian(
     landmark: Option<LandmarkId>,
     job: &MappingJob,
 ) -> NewGaussian {
-    let (camera, config) = (&context.camera, &context.config.insertion);
-    let focal = 0.5 * (camera.fx + camera.fy);
-    let sigma_m = config.footprint * config.stride_px as f64 * place.z_m / focal;
+    let config = &context.config.insertion;
+    let sigma_m = config.footprint * sample_distance_m(context, place.z_m);
     NewGaussian {
         mean: p_world.map(Real::to_f32).into(),
         sigma_m: sigma_m.to_f32(),
@@ -130,6 +129,38 @@ fn new_gaussian(
         color: color.map(|v| f32::from(v) / 255.0),
         landmark,
         born: job.keyframe,
+    }
+}
+
+/// Distance between neighbouring depth samples on a surface at depth z that is parallel to the image
+/// plane, stride · z / f, metres.
+fn sample_distance_m(context: &Context, z_m: f64) -> f64 {
+    let (camera, config) = (&context.camera, &context.config.insertion);
+    let focal = 0.5 * (camera.fx + camera.fy);
+    config.stride_px as f64 * z_m / focal
+}
+
+/// Gives the Gaussians from index `first` on, those inserted for one keyframe, scales that follow from
+/// the distances to their neighbours ([`knn_scales_m`]): each other, and the static ones before them.
+pub(crate) fn scale_by_neighbours(
+    context: &Context,
+    map: &mut GaussianMap,
+    first: usize,
+    camera_from_world: &Se3,
+) {
+    let place = |i: usize| map.means[i].map(f64::from);
+    let standing = (0..first).filter(|&i| map.label[i] == Label::Static);
+    let mut places: Vec<[f64; 3]> = standing.map(place).collect();
+    let before = places.len();
+    places.extend((first..map.len()).map(place));
+    let footprint_m = |p_world: &[f64; 3]| {
+        let p_camera = *camera_from_world * Vector3::from(*p_world);
+        sample_distance_m(context, p_camera.z)
+    };
+    let footprints_m: Vec<f64> = places[before..].iter().map(footprint_m).collect();
+    let scales_m = knn_scales_m(&places, before, &footprints_m);
+    for (log_scales, scale_m) in map.log_scales[first..].iter_mut().zip(scales_m) {
+        *log_scales = [Real::ln(scale_m.to_f32()); 3];
     }
 }
 
@@ -307,6 +338,49 @@ mod tests {
         assert!(
             seed(&mut behind, 3.0, None) < 16 * 12 / 4,
             "hidden by the map"
+        );
+    }
+
+    /// The samples of a wall at 2 m are 0.133 m apart.
+    #[test]
+    fn on_a_wall_the_scale_is_the_distance_between_samples() {
+        let (context, pose, spacing_m) = (context(), Se3::identity(), 4.0 * 2.0 / 60.0f32);
+        let mut map = GaussianMap::new(0);
+        seed(&mut map, 2.0, None);
+        let n = map.len();
+        let footprint = map.log_scales.clone();
+        scale_by_neighbours(&context, &mut map, 0, &pose);
+        let inside = map.log_scales[17].map(Real::exp);
+        assert!((inside[0] - spacing_m).abs() < 1e-6, "{inside:?}");
+        assert!(footprint[17] < map.log_scales[17], "0.6 of that");
+        // A second wall in front: its nearest neighbours are its own, and what stood stays as it is.
+        let before = map.log_scales.clone();
+        seed(&mut map, 1.0, None);
+        scale_by_neighbours(&context, &mut map, n, &pose);
+        assert_eq!(map.log_scales[..n], before, "those before");
+        let inside = map.log_scales[n + 17].map(Real::exp);
+        assert!((inside[0] - 0.5 * spacing_m).abs() < 1e-6, "{inside:?}");
+    }
+
+    #[test]
+    fn neighbours_of_a_new_gaussian_are_static_ones() {
+        let (context, pose) = (context(), Se3::identity());
+        let scale = |label: Label| {
+            let mut map = GaussianMap::new(0);
+            let at = |x: f64| landmark(0, [x, 0.0, 2.0]);
+            tag(&mut map, &[at(-0.15), at(0.15), at(0.3)]);
+            map.label = vec![label; map.len()];
+            let first = map.len();
+            tag(&mut map, &[at(0.0)]);
+            scale_by_neighbours(&context, &mut map, first, &pose);
+            Real::exp(map.log_scales[first][0])
+        };
+        let expected = ((2.0 * 0.15 * 0.15 + 0.3 * 0.3) / 3.0f32).sqrt();
+        assert!((scale(Label::Static) - expected).abs() < 1e-6, "three");
+        let two_footprints = 2.0 * 4.0 * 2.0 / 60.0;
+        assert!(
+            (scale(Label::Dynamic) - two_footprints).abs() < 1e-6,
+            "none"
         );
     }
 

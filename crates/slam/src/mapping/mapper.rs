@@ -15,14 +15,14 @@ use garad_core::{GaussianMap, Label, Se3};
 use nalgebra::Vector3;
 
 use super::error::TrainError;
-use super::insert::{insert_depth_samples, insert_landmarks, untag_dropped};
+use super::insert::{insert_depth_samples, insert_landmarks, scale_by_neighbours, untag_dropped};
 use super::job::{MappingDone, MappingJob};
 use super::loop_correction::apply_loop_correction;
 use super::relabel::{Relabelled, assert_labels_agree, relabel};
 use super::train::{Pick, TrainStep, Trainer, TrainingScene};
 use super::view::TrainingView;
 use super::view_mask::{LaterView, ViewDepth};
-use crate::config::{DensifyConfig, TaggedLabels};
+use crate::config::{DensifyConfig, InitialScale, TaggedLabels};
 use crate::context::Context;
 use crate::dynamics::free_space::FreeSpace;
 use crate::io::SlamError;
@@ -197,15 +197,15 @@ impl Mapper {
     fn insert(&mut self, job: &MappingJob) -> Result<(), TrainError> {
         let pose = self.poses[job.keyframe.index()];
         untag_dropped(&mut self.gaussians, &job.living);
+        let first = self.gaussians.len();
         if self.context.config.insertion.landmarks {
             insert_landmarks(&self.context, &mut self.gaussians, job, &pose);
         }
-        Ok(insert_depth_samples(
-            &self.context,
-            &mut self.gaussians,
-            job,
-            &pose,
-        )?)
+        insert_depth_samples(&self.context, &mut self.gaussians, job, &pose)?;
+        if self.context.config.insertion.scale == InitialScale::Neighbours {
+            scale_by_neighbours(&self.context, &mut self.gaussians, first, &pose);
+        }
+        Ok(())
     }
 
     /// Keeps the keyframe's image to train on.
