@@ -24,8 +24,8 @@ const TOO_NEAR: f64 = 0.5;
 /// pose, does not explain: little opacity, or a surface behind the measured one.
 ///
 /// Standard deviation: `footprint` times the distance between neighbouring samples,
-/// stride · z / f ([`scale_by_neighbours`] may replace it). Pixels that move, and those within one stride of them, make no Gaussian. Nor do those
-/// within half a stride of a Gaussian of the same surface: one that exists and does not fill its pixel
+/// stride · z / f (`insertion.scale = "neighbours"` replaces it). Pixels that move, and those within
+/// one stride of them, make no Gaussian. Nor do those within half a stride of a Gaussian of the same surface: one that exists and does not fill its pixel
 /// is to be trained, not doubled.
 ///
 /// # Errors
