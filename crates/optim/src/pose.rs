@@ -80,7 +80,7 @@ pub struct PoseConfig {
     /// A round has converged when the model expects a decrease of at most this part of the cost.
     /// 1e-9 of N residuals is a step of about √(N·2e-9) standard deviations of the pose.
     pub cost_tolerance: f64,
-    /// Before the image is seen.
+    /// What is known of the centre before the image is seen: adds ½ ρ(‖Lᵀ (c - c₀)‖²) to F.
     pub prior: Option<CentrePrior>,
 }
 

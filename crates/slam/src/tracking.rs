@@ -5,6 +5,7 @@
 //! | `motion` | constant velocity and the last frame's landmarks, or the reference keyframe's descriptors | first pose |
 //! | `relocalise` | the keyframes that look most like the frame, if the camera is lost | first pose |
 //! | `local_map` | everything the neighbourhood's keyframes observe | links |
+//! | `shutter` | links, by the rows they lie in | turn during read-out, keypoints at the middle row |
 //! | `pose`, `depth_pose`, `subpixel` | links, depth planes, image patches | final pose |
 
 pub(crate) mod depth_pose;
@@ -211,8 +212,10 @@ impl Tracker {
             &self.shutter,
             recorder,
         );
-        if let Some(pyramid) = pyramid.filter(|_| context.config.subpixel.enabled && inliers > 0) {
-            refine_matches(context, map, images, frame, pyramid, depth, recorder);
+        if inliers > 0 {
+            if let Some(pyramid) = pyramid.filter(|_| context.config.subpixel.enabled) {
+                refine_matches(context, map, images, frame, pyramid, depth, recorder);
+            }
             let turn_rad = estimate_shutter(context, map, frame, &self.shutter);
             inliers = pose_from_links(context, map, frame, recorder);
             self.shutter

@@ -57,7 +57,7 @@ impl Trajectory {
     }
 
     /// The most likely path: every tracked frame's pose by the keyframes' poses as they are now, and
-    /// by a camera that has mass (E24).
+    /// by a motion prior (E24).
     #[must_use]
     pub fn stamped(&self, map: &Map, config: &MotionConfig) -> Vec<StampedPose> {
         let path = most_likely_path(&self.measured(0, map, config), config);

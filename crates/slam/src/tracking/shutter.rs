@@ -11,8 +11,7 @@ use crate::context::Context;
 use crate::frame::Frame;
 use crate::map::Map;
 
-/// Links without which no turn is estimated: three times as many equations as for the pose alone
-/// are asked for.
+/// Links without which no turn is estimated: ten times as many as determine a pose.
 const MIN_LINKS: usize = 30;
 /// Trials of Levenberg-Marquardt.
 const TRIALS: usize = 5;

@@ -1,4 +1,4 @@
-//! [`most_likely_path`]: measured poses, and a camera that has mass (decision 015).
+//! [`most_likely_path`]: measured poses and a motion prior, white noise on the acceleration (decision 015).
 //!
 //! Links, landmarks and the shutter's model leave each pose an error of some millimetres, another one
 //! in every frame. A hand cannot follow that: within the 33 ms between two frames its velocity changes
