@@ -42,6 +42,7 @@ pub mod robust;
 mod schur;
 pub mod shutter;
 pub mod solve;
+pub mod triangulation;
 
 pub use adam::{Adam, AdamConfig, sgd};
 pub use bundle::{BundleConfig, BundleObservation, BundleReport, optimise_bundle};
@@ -56,3 +57,4 @@ pub use pose_graph::{PoseEdge, PoseGraph, PoseGraphConfig, PoseGraphReport};
 pub use robust::RobustKernel;
 pub use shutter::{PoseAndTurn, TurnConfig, optimise_pose_and_turn};
 pub use solve::{NotPositiveDefinite, ldlt_inverse, ldlt_solve};
+pub use triangulation::{PointView, TriangulatedPoint, triangulate};

@@ -13,7 +13,7 @@ use garad_crf::CrfConfig;
 pub use garad_features::flow::FlowConfig;
 use serde::{Deserialize, Serialize};
 
-pub use keyframing::{CullingConfig, KeyframeConfig, LocalBaConfig, LoopConfig};
+pub use keyframing::{CullingConfig, KeyframeConfig, LocalBaConfig, LoopConfig, TwoViewConfig};
 pub use labels::{LabelConfig, PatchMotionConfig, TaggedLabels};
 pub use mapping::{
     DensifyConfig, InitialScale, InsertionConfig, Optimiser, RateConfig, ScheduleConfig,
@@ -59,6 +59,8 @@ pub struct Config {
     pub depth_planes: DepthPlanesConfig,
     /// Keyframes and landmarks.
     pub keyframes: KeyframeConfig,
+    /// Landmarks from two views.
+    pub two_view: TwoViewConfig,
     /// Matches refined by Lucas-Kanade.
     #[serde(alias = "refine")]
     pub subpixel: SubpixelConfig,

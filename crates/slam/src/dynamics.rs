@@ -33,15 +33,16 @@ pub(crate) mod patch_motion;
 pub(crate) mod retention;
 pub(crate) mod samples;
 
-use std::collections::BTreeMap;
+use std::collections::VecDeque;
 use std::io::{Read, Write};
 
-use garad_core::{DepthImage, FrameId, KeyframeId, MaskImage};
+use garad_core::{DepthImage, FrameId, KeyframeId, MaskImage, Se3};
 use garad_crf::Crf;
+use serde::{Deserialize, Serialize};
 
 use self::bootstrap::{BootstrapBuffer, FutureView, future_views, patch_motion_pyramid};
 use self::evidence::{FreeSpaceHistory, HistoryView};
-use self::field::label_samples;
+use self::field::{MIN_MOVING, label_samples};
 use self::flow_check::{PreviousFrame, restore_static};
 use self::free_space::FreeSpace;
 use self::landmarks::{LandmarkLabel, label_landmarks};
@@ -57,20 +58,26 @@ use crate::mask::MOVING;
 use crate::session::sections::{SectionReader, SectionWriter, SessionError};
 use crate::trace::Recorder;
 
-/// Share of the first frame's cells that must move for the run to restart: below, it is depth edges.
-const MIN_MOVING: f64 = 0.02;
-
 /// The state behind the labels.
 #[derive(Debug)]
 pub struct Dynamics {
     lattice: Lattice,
     crf: Crf,
-    /// Free space seen by the keyframes of the last seconds.
-    pub(crate) free_space: BTreeMap<KeyframeId, FreeSpace>,
+    /// Free space seen in the last seconds, oldest first.
+    pub(crate) past: VecDeque<PastView>,
     /// The first frames, until it is known whether the run must restart.
     bootstrap: Option<BootstrapBuffer>,
     /// Later frames, while the first ones are processed again.
     pub(crate) future: Vec<FutureView>,
+}
+
+/// The free space of an earlier frame, and the frame's pose relative to a keyframe.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct PastView {
+    frame: FrameId,
+    reference: KeyframeId,
+    frame_from_reference: Se3,
+    free_space: FreeSpace,
 }
 
 impl Dynamics {
@@ -84,7 +91,7 @@ impl Dynamics {
         Ok(Self {
             lattice: Lattice::new(&context.camera, labels.step_px),
             crf: Crf::new(context.config.crf.clone()).map_err(ConfigError::from)?,
-            free_space: BTreeMap::new(),
+            past: VecDeque::new(),
             bootstrap: restarts.then(BootstrapBuffer::default),
             future: Vec::new(),
         })
@@ -112,7 +119,7 @@ impl Dynamics {
         recorder: &mut Recorder,
     ) -> Option<FrameLabels> {
         let now = view.frame.id;
-        let is_empty = self.free_space.is_empty() && self.future.is_empty();
+        let is_empty = self.past.is_empty() && self.future.is_empty();
         if is_empty || !self.is_active(context, now) {
             return None;
         }
@@ -133,25 +140,49 @@ impl Dynamics {
         })
     }
 
-    /// Adds a keyframe's free space to the history and labels the landmarks of its local map.
+    /// Whether a frame's free space is to be added to the history: every keyframe's is, and between
+    /// them one every `history_gap` frames.
+    pub(crate) fn wants_view(&self, context: &Context, frame: FrameId) -> bool {
+        let gap = context.config.labels.history_gap;
+        let last = self.past.back();
+        last.is_some_and(|view| view.frame.0 + gap <= frame.0)
+    }
+
+    /// Adds a frame's free space to the history, and drops what is older than `memory_frames`.
+    pub(crate) fn add_view(
+        &mut self,
+        context: &Context,
+        map: &Map,
+        (frame, reference): (&Frame, KeyframeId),
+        depth: &DepthImage,
+        cells: Option<&MaskImage>,
+    ) {
+        let mut free_space = FreeSpace::new(depth, context.config.features.max_depth_m);
+        if let Some(cells) = cells {
+            free_space.set_moving(cells.clone());
+        }
+        let reference_from_world = map.keyframe(reference).camera_from_world;
+        self.past.push_back(PastView {
+            frame: frame.id,
+            reference,
+            frame_from_reference: frame.camera_from_world * reference_from_world.inverse(),
+            free_space,
+        });
+        let oldest = oldest_view(context, frame.id);
+        while self.past.front().is_some_and(|view| view.frame < oldest) {
+            self.past.pop_front();
+        }
+    }
+
+    /// Labels the landmarks of a keyframe's local map; its own free space is part of the history.
     pub(crate) fn label_keyframe(
         &mut self,
         context: &Context,
         map: &mut Map,
         keyframe: KeyframeId,
-        depth: &DepthImage,
-        cells: Option<&MaskImage>,
         recorder: &mut Recorder,
     ) -> Vec<LandmarkLabel> {
-        let mut free_space = FreeSpace::new(depth, context.config.features.max_depth_m);
-        if let Some(cells) = cells {
-            free_space.set_moving(cells.clone());
-        }
-        self.free_space.insert(keyframe, free_space);
         let now = map.keyframe(keyframe).id;
-        let oldest = now.0.saturating_sub(context.config.labels.memory_frames);
-        self.free_space
-            .retain(|k, _| map.keyframe(*k).id.0 >= oldest);
         if !self.is_active(context, now) {
             return Vec::new();
         }
@@ -164,21 +195,20 @@ impl Dynamics {
         frame.0 >= context.config.labels.bootstrap_frames || !self.future.is_empty()
     }
 
-    /// The free space of the keyframes of the last `memory_frames` frames and of future views.
+    /// The free space of the last `memory_frames` frames and of future views.
     pub(crate) fn history<'a>(
         &'a self,
         context: &'a Context,
         map: &Map,
         now: FrameId,
     ) -> FreeSpaceHistory<'a> {
-        let oldest = now.0.saturating_sub(context.config.labels.memory_frames);
-        let recent = self.free_space.iter().filter_map(|(k, free_space)| {
-            let keyframe = map.keyframe(*k);
-            (keyframe.id.0 >= oldest).then_some(HistoryView {
-                free_space,
-                camera_from_world: keyframe.camera_from_world,
-                age_frames: now.0 - keyframe.id.0,
-            })
+        let oldest = oldest_view(context, now);
+        let recent = self.past.iter().filter(|view| view.frame >= oldest);
+        let recent = recent.map(|view| HistoryView {
+            free_space: &view.free_space,
+            camera_from_world: view.frame_from_reference
+                * map.keyframe(view.reference).camera_from_world,
+            age_frames: now.0 - view.frame.0,
         });
         let future = self.future.iter().map(|view| HistoryView {
             free_space: &view.free_space,
@@ -212,7 +242,7 @@ impl Dynamics {
     /// Forgets everything seen, so that frames are tracked in a finished map.
     pub(crate) fn clear(&mut self) {
         self.end_bootstrap();
-        self.free_space.clear();
+        self.past.clear();
     }
 
     /// The first frames are over and are no longer processed again.
@@ -241,7 +271,7 @@ impl Dynamics {
         let by_future_alone = Self {
             lattice: self.lattice.clone(),
             crf: self.crf.clone(),
-            free_space: BTreeMap::new(),
+            past: VecDeque::new(),
             bootstrap: None,
             future,
         };
@@ -281,11 +311,11 @@ impl Dynamics {
         let Self {
             lattice: _, // from the camera
             crf: _,     // from the configuration
-            free_space,
+            past,
             bootstrap,
             future: _, // within one frame
         } = self;
-        to.put("free_space", free_space)?;
+        to.put("past", past)?;
         to.put("bootstrap", bootstrap)
     }
 
@@ -295,9 +325,14 @@ impl Dynamics {
         context: &Context,
     ) -> Result<Self, SessionError> {
         Ok(Self {
-            free_space: from.take("free_space")?,
+            past: from.take("past")?,
             bootstrap: from.take("bootstrap")?,
             ..Self::new(context)?
         })
     }
+}
+
+/// The oldest frame whose free space a frame is compared with.
+fn oldest_view(context: &Context, now: FrameId) -> FrameId {
+    FrameId(now.0.saturating_sub(context.config.labels.memory_frames))
 }

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | does the frame become a keyframe? | `decide` |
 //! | observations, new landmarks, duplicates | `landmarks` |
+//! | landmarks of keypoints without depth | `two_view` |
 //! | poses and landmarks optimised together | `local_ba` |
 //! | a revisited place | [`loop_closing`] |
 //! | redundant keyframes | `culling` |
@@ -13,6 +14,7 @@ pub(crate) mod decide;
 pub(crate) mod landmarks;
 pub(crate) mod local_ba;
 pub mod loop_closing;
+pub(crate) mod two_view;
 
 use garad_core::LandmarkId;
 use serde::{Deserialize, Serialize};

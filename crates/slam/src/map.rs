@@ -12,7 +12,7 @@ use garad_core::{FrameId, KeyframeId, Label, LandmarkId, Se3};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use self::landmark::{Landmark, medoid};
+use self::landmark::{Landmark, LandmarkDepth, medoid};
 use crate::frame::Frame;
 
 /// All landmarks and keyframes of a run.
@@ -112,6 +112,9 @@ impl Map {
         for (i, landmark) in frame.landmark.iter().enumerate() {
             if let Some(landmark) = landmark.and_then(|l| self.landmark_mut(l)) {
                 landmark.observations.push((id, i));
+                if frame.depth_m[i].is_some() {
+                    landmark.measured_by(id);
+                }
             }
         }
         self.keyframes.push(frame);
@@ -226,6 +229,9 @@ impl Map {
             }
         }
         if let Some(landmark) = self.landmark_mut(keep) {
+            if let LandmarkDepth::Measured { since } = gone.depth {
+                landmark.measured_by(since);
+            }
             landmark.visible += gone.visible;
             landmark.found += gone.found;
         }
@@ -234,9 +240,13 @@ impl Map {
 
     /// Makes keypoint `i` of a keyframe an observation of a landmark.
     pub fn add_observation(&mut self, id: LandmarkId, keyframe: KeyframeId, i: usize) {
+        let has_depth = self.keyframe(keyframe).depth_m[i].is_some();
         if let Some(landmark) = self.landmark_mut(id) {
             landmark.observations.push((keyframe, i));
             landmark.observations.sort_unstable();
+            if has_depth {
+                landmark.measured_by(keyframe);
+            }
             self.keyframe_mut(keyframe).landmark[i] = Some(id);
         }
     }

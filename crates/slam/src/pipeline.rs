@@ -25,7 +25,7 @@ use crate::io::{FrameInput, FrameReport, LabelledFrame, ReplayedFrame, SlamError
 use crate::keyframing::Keyframing;
 use crate::keyframing::culling::cull_keyframes;
 use crate::keyframing::decide::needs_keyframe;
-use crate::keyframing::landmarks::{add_keyframe, landmarks_born_in};
+use crate::keyframing::landmarks::{add_keyframe, landmarks_measured_since};
 use crate::keyframing::local_ba::local_ba;
 use crate::map::Map;
 use crate::mapping::Mapping;
@@ -162,6 +162,8 @@ impl Slam {
                 report.keyframe = Some(keyframe);
                 // The next frame is tracked from the adjusted keyframe.
                 frame = self.map.keyframe(keyframe).clone();
+            } else {
+                self.add_view(&frame, input);
             }
             let reference = self.tracker.reference();
             self.trajectory.push(&frame, reference, &self.map);
@@ -272,6 +274,17 @@ impl Slam {
         labels
     }
 
+    /// Adds a frame between keyframes to the free-space history, if its turn has come.
+    fn add_view(&mut self, frame: &Frame, input: &FrameInput<'_>) {
+        let is_labelled = self.context.config.labels.enabled && input.mask.is_none();
+        let usable = is_labelled && !self.localising && !self.tracker.is_weak();
+        if usable && self.dynamics.wants_view(&self.context, frame.id) {
+            let cells = self.labelled.as_ref().map(|labelled| &labelled.cells);
+            let view = (frame, self.tracker.reference());
+            (self.dynamics).add_view(&self.context, &self.map, view, input.depth, cells);
+        }
+    }
+
     fn becomes_keyframe(&mut self, frame: &Frame, inliers: usize) -> bool {
         let (map, most) = (&self.map, &mut self.keyframing.most_inliers);
         *most = inliers.max(*most);
@@ -324,7 +337,9 @@ impl Slam {
         if config.labels.enabled && input.mask.is_none() {
             observer.begin(Stage::LabelMap);
             let cells = cells.as_ref();
-            labels = (self.dynamics).label_keyframe(context, map, id, input.depth, cells, recorder);
+            let view = (map.keyframe(id), id);
+            (self.dynamics).add_view(context, map, view, input.depth, cells);
+            labels = (self.dynamics).label_keyframe(context, map, id, recorder);
             observer.end(Stage::LabelMap);
         }
         if config.local_ba.enabled {
@@ -357,7 +372,7 @@ impl Slam {
                 labels,
                 poses: map.keyframe_poses(),
                 moved,
-                new_landmarks: landmarks_born_in(map, id, config.labels.tagged),
+                new_landmarks: landmarks_measured_since(map, id, config.labels.tagged),
                 living: map
                     .landmarks()
                     .map(|(l, landmark)| (l, landmark.label()))

@@ -6,7 +6,6 @@ use garad_features::{Descriptor, Keypoint, LkPyramid};
 use crate::config::Config;
 use crate::context::Context;
 use crate::dynamics::Dynamics;
-use crate::dynamics::free_space::FreeSpace;
 use crate::dynamics::samples::FrameView;
 use crate::frame::{Frame, Levels};
 use crate::images::ImageStore;
@@ -65,8 +64,8 @@ impl World {
     /// Adds a keyframe and its free space.
     pub(crate) fn keep(&mut self, frame: Frame, depth: &DepthImage) -> KeyframeId {
         let id = self.map.add_keyframe(frame);
-        let free_space = FreeSpace::new(depth, 8.0);
-        self.dynamics.free_space.insert(id, free_space);
+        let view = (self.map.keyframe(id), id);
+        (self.dynamics).add_view(&self.context, &self.map, view, depth, None);
         id
     }
 

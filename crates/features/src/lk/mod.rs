@@ -45,6 +45,8 @@ pub struct LkConfig {
     pub min_eigenvalue: f32,
     /// Largest mean absolute difference of the two windows, grey levels; `None` for any.
     pub max_residual: Option<f32>,
+    /// The level the search starts on, if the pyramids have it: 0 is the full image.
+    pub coarsest_level: usize,
 }
 
 impl Default for LkConfig {
@@ -54,6 +56,7 @@ impl Default for LkConfig {
             epsilon_px: 0.01,
             min_eigenvalue: 1e-4,
             max_residual: None,
+            coarsest_level: usize::MAX,
         }
     }
 }
@@ -232,7 +235,7 @@ fn track_point<W: Windows>(
     config: &LkConfig,
     template: &mut W::Template,
 ) -> LkTrack {
-    let top = prev.levels() - 1;
+    let top = config.coarsest_level.min(prev.levels() - 1);
     let at_level = |p: [f32; 2], level: usize| p.map(|v| v * (1.0 / (1u32 << level) as f32));
     let mut estimate = at_level(start, top);
     for level in (1..=top).rev() {

@@ -50,6 +50,34 @@ impl Default for KeyframeConfig {
     }
 }
 
+/// Landmarks from two views, for keypoints without depth (decision 018).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TwoViewConfig {
+    /// Off: every landmark comes from a depth reading.
+    pub enabled: bool,
+    /// Keyframes that a new one is matched with, most covisible first.
+    pub neighbours: usize,
+    /// Largest distance from the image of the other keypoint's ray, px at level 0.
+    pub radius_px: f64,
+    /// Largest Hamming distance of the two descriptors.
+    pub match_distance: u32,
+    /// Least inverse depth, in its standard deviations.
+    pub min_certainty: f64,
+}
+
+impl Default for TwoViewConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            neighbours: 10,
+            radius_px: 2.0,
+            match_distance: 50,
+            min_certainty: 4.0,
+        }
+    }
+}
+
 /// Local bundle adjustment after each keyframe.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]

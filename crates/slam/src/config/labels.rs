@@ -30,8 +30,10 @@ pub struct LabelConfig {
     pub settle_frames: u32,
     /// The same for a sample that no earlier view saw.
     pub trust_unknown: f64,
-    /// Age up to which keyframes are part of the free-space history, frames.
+    /// Age up to which a depth image is part of the free-space history, frames.
     pub memory_frames: u32,
+    /// Frames between the depth images of the history; those of keyframes are always part of it.
+    pub history_gap: u32,
     /// Exclude from training what a later keyframe, up to `memory_frames` younger, shows to be free
     /// space (decision 013).
     #[serde(alias = "hindsight")]
@@ -129,6 +131,7 @@ impl Default for LabelConfig {
             settle_frames: 45,
             trust_unknown: 0.55,
             memory_frames: 90,
+            history_gap: 5,
             mask_freed_space: true,
             step_px: 16,
             noise: DepthNoise {

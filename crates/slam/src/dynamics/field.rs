@@ -19,6 +19,9 @@ use crate::frame::FrameLabels;
 use crate::mask::{self, CELL_PX};
 use crate::trace::Recorder;
 
+/// Share of suspects below which nothing moves; they are depth edges.
+pub(super) const MIN_MOVING: f64 = 0.02;
+
 /// Labels a frame's keypoints and mask from its first pose. `None` if the history contradicts
 /// nearly every sample, which is a wrong pose rather than a crowd.
 pub(crate) fn label_samples(
@@ -40,13 +43,11 @@ pub(crate) fn label_samples(
         .chain(blocks.iter().flatten().copied())
         .collect();
     let mut evidence = depth_evidence(context, history, &samples);
-    if let Some(pyramid) = view.pyramid {
+    let suspected = suspected_share(config, &evidence);
+    if let Some(pyramid) = view.pyramid.filter(|_| suspected >= MIN_MOVING) {
         add_patch_motion(context, view, pyramid, references, &samples, &mut evidence);
     }
-    let judged = evidence.iter().filter_map(|e| e.residual);
-    let suspects = judged.clone().filter(|r| *r > config.labels.suspect_sigmas);
-    let (judged, suspects) = (judged.count(), suspects.count());
-    if suspects as f64 > config.labels.max_moving * judged as f64 {
+    if suspected_share(config, &evidence) > config.labels.max_moving {
         return None;
     }
     let nodes: Vec<Node> = samples
@@ -85,6 +86,13 @@ pub(crate) fn label_samples(
     };
     recorder.record("masks", |record| record.labels(&labels));
     Some(labels)
+}
+
+/// Share of suspects among the samples that the history judges; 0 if it judges none.
+fn suspected_share(config: &Config, evidence: &[DepthEvidence]) -> f64 {
+    let judged = evidence.iter().filter_map(|e| e.residual);
+    let suspects = judged.clone().filter(|r| *r > config.labels.suspect_sigmas);
+    suspects.count() as f64 / judged.count().max(1) as f64
 }
 
 /// The evidence on every sample.

@@ -35,6 +35,8 @@ const SPREAD_SHARE: f64 = 0.4;
 const MIN_SPREAD_SAMPLES: usize = 20;
 /// Residual of free space up to which a sample passes for static, standard deviations.
 const STATIC_SIGMAS: f64 = 2.0;
+/// Residual of free space from which a sample needs no second cue, standard deviations.
+const DECIDED_SIGMAS: f64 = 6.0;
 /// Least distance to a future view, frames.
 const MIN_FUTURE_FRAMES: u32 = 3;
 
@@ -113,8 +115,11 @@ pub(crate) fn add_patch_motion(
         .iter()
         .map(|e| e.residual.is_some_and(|r| r < STATIC_SIGMAS))
         .collect();
-    let whole = |i: &usize| is_whole(&samples[*i], view.depth, config);
-    let searched: Vec<usize> = (0..samples.len()).filter(whole).collect();
+    let open = |i: &usize| {
+        let decided = evidence[*i].residual.is_some_and(|r| r > DECIDED_SIGMAS);
+        !decided && is_whole(&samples[*i], view.depth, config)
+    };
+    let searched: Vec<usize> = (0..samples.len()).filter(open).collect();
     let mut residuals = vec![Vec::new(); samples.len()];
     for reference in references {
         let found = displacements(context, view, pyramid, *reference, samples, &searched);
@@ -184,11 +189,17 @@ fn displacements(
         epsilon_px: EPSILON_PX,
         min_eigenvalue: config.min_eigenvalue,
         max_residual: Some(config.max_residual),
+        ..LkConfig::default()
+    };
+    let one_step = LkConfig {
+        iterations: 1,
+        max_residual: None,
+        coarsest_level: 0,
+        ..search
     };
     let compare = LkConfig {
         iterations: 0,
-        max_residual: None,
-        ..search
+        ..one_step
     };
     let track = |tasks: &[Task], config| {
         let points: Vec<_> = tasks.iter().map(|t| t.1).collect();
@@ -224,10 +235,23 @@ fn displacements(
         }
         is_doubtful
     });
+    // Where the patch is instead: for most that are at rest, less than σ beside their prediction, one step
+    // on the full image shows that; the others are searched for from the coarsest level down.
+    let mut found = track(&tasks, &one_step);
+    let rests = |(task, step): (&Task, &LkTrack)| {
+        let [dx, dy] = [0, 1].map(|k| f64::from(step.xy[k] - task.2[k]));
+        step.is_tracked() && dx.hypot(dy) < config.sigma_px
+    };
+    let farther: Vec<usize> = (0..tasks.len())
+        .filter(|&k| !rests((&tasks[k], &found[k])))
+        .collect();
+    let farther_tasks: Vec<Task> = farther.iter().map(|&k| tasks[k]).collect();
+    for (k, track) in farther.into_iter().zip(track(&farther_tasks, &search)) {
+        found[k] = track;
+    }
     let reference_center = reference.camera_from_world.inverse().translation;
     let baseline_m = (reference_center - view.frame.center()).norm();
     let noise = &context.config.labels.noise;
-    let found = track(&tasks, &search);
     for (((i, _, start), found), at_prediction) in tasks.iter().zip(found).zip(doubtful) {
         if !found.is_tracked() {
             continue;

@@ -3,9 +3,11 @@
 use garad_core::chi_square::{CHI2_2DOF_95, CHI2_3DOF_95};
 use garad_core::{KeyframeId, Label, LandmarkId};
 
+use super::two_view::two_view_landmarks;
 use crate::config::TaggedLabels;
 use crate::context::Context;
 use crate::frame::Frame;
+use crate::map::landmark::LandmarkDepth;
 use crate::map::{Map, by_count};
 use crate::mapping::job::NewLandmark;
 
@@ -24,6 +26,9 @@ pub(crate) fn add_keyframe(
     }
     drop_weak_landmarks(context, map, recent, id);
     recent.extend(new_landmarks(context, map, id));
+    if context.config.two_view.enabled {
+        recent.extend(two_view_landmarks(context, map, id));
+    }
     fuse_with_neighbours(context, map, id);
     id
 }
@@ -79,9 +84,9 @@ fn drop_weak_landmarks(
     });
 }
 
-/// What the mapper needs to know of the landmarks a keyframe made. Where a Gaussian always has its
+/// What the mapper needs to know of the landmarks that a keyframe is the first to observe with depth. Where a Gaussian always has its
 /// landmark's label ([`TaggedLabels::Landmark`]), one that is dynamic already gets no Gaussian.
-pub(crate) fn landmarks_born_in(
+pub(crate) fn landmarks_measured_since(
     map: &Map,
     id: KeyframeId,
     tagged: TaggedLabels,
@@ -90,7 +95,8 @@ pub(crate) fn landmarks_born_in(
     let linked = (0..keyframe.len()).filter_map(|i| Some((i, keyframe.landmark[i]?)));
     linked
         .filter_map(|(i, landmark)| {
-            let found = map.landmark(landmark).filter(|l| l.born == id)?;
+            let first_depth = LandmarkDepth::Measured { since: id };
+            let found = map.landmark(landmark).filter(|l| l.depth == first_depth)?;
             let inserted = tagged == TaggedLabels::Evidence || found.label() == Label::Static;
             inserted.then(|| NewLandmark {
                 id: landmark,

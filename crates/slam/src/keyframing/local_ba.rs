@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use garad_core::{KeyframeId, LandmarkId};
 use garad_optim::{BundleConfig, BundleObservation, optimise_bundle};
 
+use super::two_view::update_covariance;
 use crate::context::Context;
 use crate::map::{Map, by_count};
 use crate::trace::Recorder;
@@ -122,6 +123,7 @@ pub(crate) fn adjust(
     }
     for id in landmarks {
         map.refresh(*id, &context.scales);
+        update_covariance(context, map, *id);
     }
 }
 

@@ -3,7 +3,7 @@
 use garad_core::{Camera, KeyframeId, Label};
 use garad_crf::{LabelWindow, LabelWindowConfig};
 use garad_features::Descriptor;
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::dynamics::retention::{Retention, push_label};
@@ -24,6 +24,8 @@ pub struct Landmark {
     pub observations: Vec<(KeyframeId, usize)>,
     /// The keyframe that made it.
     pub born: KeyframeId,
+    /// Where its depth comes from.
+    pub depth: LandmarkDepth,
     /// A dynamic landmark is neither searched for nor adjusted.
     label: Label,
     /// The labels of the last runs (eq. 7).
@@ -32,6 +34,21 @@ pub struct Landmark {
     pub visible: u32,
     /// See `visible`.
     pub found: u32,
+}
+
+/// Where a landmark's depth comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub enum LandmarkDepth {
+    /// From the depth camera.
+    Measured {
+        /// The first keyframe that observes it with depth.
+        since: KeyframeId,
+    },
+    /// From two views or more; no keyframe observes it with depth.
+    Triangulated {
+        /// Of its position, m².
+        covariance: Matrix3<f64>,
+    },
 }
 
 impl Landmark {
@@ -43,6 +60,7 @@ impl Landmark {
         keyframe: KeyframeId,
         i: usize,
     ) -> Self {
+        let depth = LandmarkDepth::Measured { since: keyframe };
         Self {
             p_world,
             descriptor,
@@ -50,6 +68,7 @@ impl Landmark {
             distance_m: (0.0, 0.0),
             observations: vec![(keyframe, i)],
             born: keyframe,
+            depth,
             label: Label::Static,
             window: LabelWindow::default(),
             visible: 1,
@@ -67,6 +86,13 @@ impl Landmark {
     /// alone: the one writer of landmark labels.
     pub(crate) fn push_label(&mut self, label: Label, config: &LabelWindowConfig) -> Retention {
         push_label(&mut self.label, &mut self.window, label, config)
+    }
+
+    /// A keyframe that observes it with depth: it is measured from now on, if it was not before.
+    pub(super) fn measured_by(&mut self, keyframe: KeyframeId) {
+        if let LandmarkDepth::Triangulated { .. } = self.depth {
+            self.depth = LandmarkDepth::Measured { since: keyframe };
+        }
     }
 
     /// Whether a keyframe observes it.

@@ -21,7 +21,7 @@ use garad_optim::pose::PoseProblem;
 use garad_optim::{LmConfig, PoseObservation, RobustKernel};
 use nalgebra::{Matrix1x6, SVector, Vector6};
 
-use super::observation::observation;
+use super::observation::link_observation;
 use super::pose::{centre_prior, pose_from_links};
 use super::shutter::{ShutterModel, estimate_shutter};
 use crate::context::Context;
@@ -88,13 +88,13 @@ fn pose_with_depth(
         return None;
     }
     let observations = (0..frame.len()).filter_map(|i| {
-        let p_world = map.static_landmark(links[i]?)?.p_world;
+        let landmark = map.static_landmark(links[i]?)?;
         context
             .camera
-            .project(&(frame.camera_from_world * p_world))?;
+            .project(&(frame.camera_from_world * landmark.p_world))?;
         Some(PoseObservation {
             depth: None,
-            ..observation(&context.config.tracking, frame, i, p_world)
+            ..link_observation(context, frame, i, landmark)
         })
     });
     let observations: Vec<_> = observations.collect();

@@ -2,7 +2,7 @@
 
 use garad_optim::{CentrePrior, PoseConfig, optimise_pose};
 
-use super::observation::observation;
+use super::observation::link_observation;
 use crate::context::Context;
 use crate::frame::{Frame, PoseInformation};
 use crate::map::Map;
@@ -29,8 +29,7 @@ pub(crate) fn pose_from_links(
         };
         debug_assert!(frame.in_use[i], "only keypoints in use are linked");
         keypoints.push(i);
-        let config = &context.config.tracking;
-        observations.push(observation(config, frame, i, landmark.p_world));
+        observations.push(link_observation(context, frame, i, landmark));
     }
     if observations.len() < MIN_LINKS {
         return 0;

@@ -15,7 +15,7 @@ use garad_features::{Descriptor, PlaceIndex};
 use garad_optim::{PnpConfig, solve_pnp_ransac};
 
 use super::matching;
-use super::observation::observation;
+use super::observation::link_observation;
 use super::pose::{pose_config, pose_from_links};
 use super::rigid::rigid_from_pairs;
 use crate::context::Context;
@@ -136,8 +136,8 @@ fn pnp(
 ) -> Option<Se3> {
     let observations: Vec<_> = (0..frame.len())
         .filter_map(|i| {
-            let p_world = map.static_landmark(frame.landmark[i]?)?.p_world;
-            Some(observation(&context.config.tracking, frame, i, p_world))
+            let landmark = map.static_landmark(frame.landmark[i]?)?;
+            Some(link_observation(context, frame, i, landmark))
         })
         .collect();
     let key = [u64::from(frame.id.0), u64::from(candidate.0)];

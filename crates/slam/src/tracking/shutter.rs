@@ -6,7 +6,7 @@ use garad_optim::{PoseAndTurn, PoseObservation, TurnConfig, optimise_pose_and_tu
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::observation::observation;
+use super::observation::link_observation;
 use crate::context::Context;
 use crate::frame::Frame;
 use crate::map::Map;
@@ -35,7 +35,7 @@ pub(crate) fn estimate_shutter(
             let recorded = PoseObservation {
                 uv_px: camera.undistort_pixel(&frame.px[i])?,
                 depth: None,
-                ..observation(config, frame, i, landmark.p_world)
+                ..link_observation(context, frame, i, landmark)
             };
             let row_time = RollingShutter::row_time(frame.px[i].y, camera.height);
             Some((recorded, row_time))
