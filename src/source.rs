@@ -8,6 +8,8 @@ use garad_slam::FrameInput;
 pub struct SourceFrame {
     /// Time stamp of the colour image, seconds.
     pub t_s: f64,
+    /// Time stamp of the depth image, seconds.
+    pub depth_t_s: f64,
     /// Colour.
     pub rgb: RgbImage,
     /// Depth, metres.
@@ -24,6 +26,7 @@ impl SourceFrame {
     pub fn input(&self) -> FrameInput<'_> {
         FrameInput {
             t_s: self.t_s,
+            depth_t_s: self.depth_t_s,
             rgb: &self.rgb,
             depth: &self.depth,
             mask: self.mask.as_ref(),

@@ -66,6 +66,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
                 let frame = scene.frame(i, Par::Seq);
                 let frame = SourceFrame {
                     t_s: frame.t_s,
+                    depth_t_s: frame.t_s,
                     rgb: frame.rgb,
                     depth: frame.depth,
                     mask: args.oracle_labels.then(|| frame.mask.clone()),

@@ -65,6 +65,7 @@ pub(crate) fn frames_from<'a>(
         let Frame {
             id,
             t_s,
+            depth_t_s,
             rgb,
             depth,
         } = frame?;
@@ -86,6 +87,7 @@ pub(crate) fn frames_from<'a>(
         });
         Ok(SourceFrame {
             t_s,
+            depth_t_s,
             rgb,
             depth,
             mask,

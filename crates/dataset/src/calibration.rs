@@ -7,7 +7,7 @@
 //! 640 480 535.4 539.2 320.1 247.6 5000 30
 //! ```
 //! or `key = value` lines with those names, which is TOML as well (`calibration.toml`), or a row
-//! followed by lines for `depth_max_raw`. Pixel centres are at integer coordinates, distortion
+//! followed by lines for `depth_max_raw` and `depth_delay_s`. Pixel centres are at integer coordinates, distortion
 //! is OpenCV's, depth in metres is raw / `depth_factor`.
 //!
 //! # Missing depth
@@ -39,6 +39,8 @@ pub struct Calibration {
     pub fps: f64,
     /// Raw depth values from this one on are missing; 65535 always is.
     pub depth_max_raw: Option<u16>,
+    /// How much later than it was taken a depth image is stamped, seconds; by the clock of colour images.
+    pub depth_delay_s: f64,
     /// Where it came from, for messages.
     pub source: String,
 }
@@ -97,6 +99,10 @@ impl Preset {
             depth_factor,
             fps: 30.0,
             depth_max_raw: None,
+            depth_delay_s: match self {
+                Self::Freiburg1 => 0.015, // decision 019
+                Self::Freiburg2 | Self::Freiburg3 | Self::Bonn => 0.0,
+            },
             source: format!("preset {}", self.name()),
         }
     }
@@ -129,7 +135,7 @@ impl FromStr for Preset {
 }
 
 /// The keys, in the order of the row.
-const KEYS: [&str; 14] = [
+const KEYS: [&str; 15] = [
     "width",
     "height",
     "fx",
@@ -144,6 +150,7 @@ const KEYS: [&str; 14] = [
     "p2",
     "k3",
     "depth_max_raw",
+    "depth_delay_s",
 ];
 /// Numbers of a row without distortion.
 const ROW_SHORT: usize = 8;
@@ -252,6 +259,7 @@ impl Calibration {
             depth_factor,
             fps: positive(7)?,
             depth_max_raw,
+            depth_delay_s: optional(14).unwrap_or(0.0),
             source: format!("file {}", path.display()),
         })
     }
@@ -273,7 +281,7 @@ fn parse_line(place: Place<'_>, text: &str, values: &mut Values) -> Result<(), D
         let index = KEYS.iter().position(|known| *known == key).ok_or_else(|| {
             place.error(
                 format!("key {}", excerpt(key)),
-                "one of width height fx fy cx cy depth_factor fps k1 k2 p1 p2 k3 depth_max_raw",
+                "one of width height fx fy cx cy depth_factor fps k1 k2 p1 p2 k3 depth_max_raw depth_delay_s",
             )
         })?;
         let value = number(place, value.trim(), NUMBER)?;

@@ -64,6 +64,8 @@ pub struct Frame {
     pub id: FrameId,
     /// Time of the colour image, seconds.
     pub t_s: f64,
+    /// Time of the depth image by the same clock, seconds: its stamp less the calibration's `depth_delay_s`.
+    pub depth_t_s: f64,
     /// Colour, as recorded (distorted).
     pub rgb: RgbImage,
     /// Depth in metres; 0 is missing.
@@ -284,6 +286,7 @@ impl Inner {
         self.check_size(at(&path), rgb.size())?;
 
         let path = self.source.locate(&depth.file);
+        let depth_t_s = depth.t_s - self.calibration.depth_delay_s;
         let depth = decode::depth(
             &self.image_bytes(i, depth, "depth.txt")?,
             at(&path),
@@ -294,6 +297,7 @@ impl Inner {
         Ok(Frame {
             id: FrameId(u32::try_from(i).unwrap_or(u32::MAX)), // lists hold at most a million
             t_s: colour.t_s,
+            depth_t_s,
             rgb,
             depth,
         })

@@ -42,7 +42,7 @@ use serde::{Deserialize, Serialize};
 
 use self::bootstrap::{BootstrapBuffer, FutureView, future_views, patch_motion_pyramid};
 use self::evidence::{FreeSpaceHistory, HistoryView};
-use self::field::{MIN_MOVING, label_samples};
+use self::field::label_samples;
 use self::flow_check::{PreviousFrame, restore_static};
 use self::free_space::FreeSpace;
 use self::landmarks::{LandmarkLabel, label_landmarks};
@@ -57,6 +57,9 @@ use crate::map::Map;
 use crate::mask::MOVING;
 use crate::session::sections::{SectionReader, SectionWriter, SessionError};
 use crate::trace::Recorder;
+
+/// Share of the first frame's cells that must move for the run to restart: below, it is depth edges.
+const MIN_MOVING: f64 = 0.02;
 
 /// The state behind the labels.
 #[derive(Debug)]

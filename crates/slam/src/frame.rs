@@ -1,6 +1,7 @@
 //! [`Frame`]: the features of one RGB-D image, their depth, labels and landmarks.
 
 pub(crate) mod depth_planes;
+pub(crate) mod depth_time;
 pub mod extract;
 mod grid;
 mod keypoint_depth;

@@ -15,6 +15,8 @@ use crate::mapping::error::TrainError;
 pub struct FrameInput<'a> {
     /// Time stamp of the colour image, seconds, ascending.
     pub t_s: f64,
+    /// Time stamp of the depth image, seconds.
+    pub depth_t_s: f64,
     /// Colour.
     pub rgb: &'a RgbImage,
     /// Metres along z, registered to colour; 0 and NaN are missing.

@@ -6,10 +6,11 @@
 //!        MappingDone ←─ Mapping ←─ MappingJob ←─ keyframing ←── keyframe?
 //! ```
 
+use std::borrow::Cow;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
-use garad_core::{Camera, FrameId, KeyframeId, Label, Par};
+use garad_core::{Camera, DepthImage, FrameId, KeyframeId, Label, Par};
 use garad_features::{LkPyramid, PlaceConfig, PlaceIndex};
 
 use crate::config::Config;
@@ -18,6 +19,7 @@ use crate::dynamics::Dynamics;
 use crate::dynamics::bootstrap::{BootstrapBuffer, FutureView};
 use crate::dynamics::flow_check::PreviousFrame;
 use crate::dynamics::samples::FrameView;
+use crate::frame::depth_time::depth_at_colour_time;
 use crate::frame::extract::{FrameExtractor, wanted_keypoints};
 use crate::frame::{Frame, FrameLabels};
 use crate::images::{ImageStore, lk_pyramid};
@@ -126,6 +128,11 @@ impl Slam {
             done?;
         }
 
+        let depth = self.depth_at_colour_time(input);
+        let input = &FrameInput {
+            depth: &depth,
+            ..*input
+        };
         let (mut frame, pyramid) = self.extract(id, input, observer)?;
         if input.mask.is_some() || self.localising {
             self.dynamics.end_bootstrap();
@@ -173,6 +180,21 @@ impl Slam {
             self.tracker.set_last(frame, pyramid);
         }
         Ok(report)
+    }
+
+    /// The frame's depth, moved to the time of its colour image by the motion of the frame before.
+    fn depth_at_colour_time<'a>(&self, input: &FrameInput<'a>) -> Cow<'a, DepthImage> {
+        let offset_s = input.depth_t_s - input.t_s;
+        let moved = self.tracker.expected_motion(input.t_s, offset_s);
+        match moved.filter(|_| self.context.config.features.move_depth) {
+            Some(motion) => Cow::Owned(depth_at_colour_time(
+                input.depth,
+                &self.context.camera,
+                &motion,
+                self.context.par,
+            )),
+            None => Cow::Borrowed(input.depth),
+        }
     }
 
     /// Features, their depth, and the image for Lucas-Kanade.

@@ -118,6 +118,15 @@ impl Tracker {
         self.reference
     }
 
+    /// The camera's motion in the time `offset_s` after a frame at `t_s`, if it goes on as before: a part of that
+    /// from the frame before the last to the last. None if that is not known, or nothing is to be moved.
+    pub(crate) fn expected_motion(&self, t_s: f64, offset_s: f64) -> Option<Se3> {
+        let interval_s = t_s - self.last.as_ref()?.t_s;
+        let share = offset_s / interval_s;
+        let moves = share.is_finite() && share != 0.0 && share.abs() <= 1.0;
+        moves.then_some(Se3::exp(&(self.velocity?.log() * share)))
+    }
+
     /// A new keyframe is the reference of the next frames.
     pub(crate) fn set_reference(&mut self, keyframe: KeyframeId) {
         self.reference = keyframe;

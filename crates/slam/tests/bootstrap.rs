@@ -55,6 +55,7 @@ fn go_on(slam: &mut Slam, frames: &[SynthFrame]) -> Vec<ReplayedFrame> {
     for frame in frames {
         let input = FrameInput {
             t_s: frame.t_s,
+            depth_t_s: frame.t_s,
             rgb: &frame.rgb,
             depth: &frame.depth,
             mask: None,
@@ -164,6 +165,7 @@ fn frames_keep_their_numbers() {
     let wrong = DepthImage::new(16, 16, 1.0);
     let input = FrameInput {
         t_s: recording.frames[4].t_s,
+        depth_t_s: recording.frames[4].t_s,
         rgb: &recording.frames[4].rgb,
         depth: &wrong,
         mask: None,

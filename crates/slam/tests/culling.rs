@@ -18,6 +18,7 @@ fn run(scene: &Scene, frames: &[SynthFrame], enabled: bool, par: Par) -> Slam {
     for frame in frames {
         let input = FrameInput {
             t_s: frame.t_s,
+            depth_t_s: frame.t_s,
             rgb: &frame.rgb,
             depth: &frame.depth,
             mask: None,
@@ -118,6 +119,7 @@ fn a_second_lap_adds_few_gaussians() {
         let frame = scene.frame(i, Par::Threads(2));
         let input = FrameInput {
             t_s: frame.t_s,
+            depth_t_s: frame.t_s,
             rgb: &frame.rgb,
             depth: &frame.depth,
             mask: None,

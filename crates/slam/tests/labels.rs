@@ -103,6 +103,7 @@ fn run(recording: &Recording, config: Config, par: Par) -> Run {
     for frame in &recording.frames {
         let input = FrameInput {
             t_s: frame.t_s,
+            depth_t_s: frame.t_s,
             rgb: &frame.rgb,
             depth: &frame.depth,
             mask: None,
@@ -408,6 +409,7 @@ fn a_landmark_and_its_gaussian_never_differ() {
         for frame in &walking().frames {
             let input = FrameInput {
                 t_s: frame.t_s,
+                depth_t_s: frame.t_s,
                 rgb: &frame.rgb,
                 depth: &frame.depth,
                 mask: None,
@@ -488,6 +490,7 @@ fn a_given_mask_is_all_that_moves() {
     for frame in &recording.frames[..15] {
         let input = FrameInput {
             t_s: frame.t_s,
+            depth_t_s: frame.t_s,
             rgb: &frame.rgb,
             depth: &frame.depth,
             mask: Some(&frame.mask),
@@ -515,6 +518,7 @@ fn more_keypoints_are_detected_where_people_take_some() {
         [(); 2].map(|()| {
             let input = FrameInput {
                 t_s: frame.t_s,
+                depth_t_s: frame.t_s,
                 rgb: &frame.rgb,
                 depth: &frame.depth,
                 mask: Some(&mask),

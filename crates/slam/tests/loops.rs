@@ -25,6 +25,7 @@ fn run_with(scene: &Scene, config: Config, step: usize, par: Par) -> Slam {
         let frame = scene.frame(i, Par::Threads(2));
         let input = FrameInput {
             t_s: frame.t_s,
+            depth_t_s: frame.t_s,
             rgb: &frame.rgb,
             depth: &frame.depth,
             mask: None,

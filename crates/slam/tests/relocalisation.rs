@@ -40,6 +40,7 @@ fn process(slam: &mut Slam, scene: &Scene, i: usize, t_s: f64, dark: bool) -> Fr
     };
     let input = FrameInput {
         t_s,
+        depth_t_s: t_s,
         rgb,
         depth,
         mask: None,

@@ -83,6 +83,7 @@ impl Outputs {
         for frame in &recording().frames[self.reports.len()..until] {
             let input = FrameInput {
                 t_s: frame.t_s,
+                depth_t_s: frame.t_s,
                 rgb: &frame.rgb,
                 depth: &frame.depth,
                 mask: None,
@@ -258,6 +259,7 @@ fn a_finished_map_is_tracked_in_and_stays_as_it_is() {
     for (i, frame) in recording.frames.iter().rev().enumerate() {
         let input = FrameInput {
             t_s: frame.t_s,
+            depth_t_s: frame.t_s,
             rgb: &frame.rgb,
             depth: &frame.depth,
             mask: None,
@@ -302,6 +304,7 @@ fn a_place_outside_the_map_is_not_found() {
     for frame in &recording().frames[DARK] {
         let input = FrameInput {
             t_s: frame.t_s,
+            depth_t_s: frame.t_s,
             rgb: &frame.rgb,
             depth: &frame.depth,
             mask: None,
@@ -322,6 +325,7 @@ fn an_empty_map_keeps_the_camera_lost() {
     let frame = &recording().frames[0];
     let input = FrameInput {
         t_s: frame.t_s,
+        depth_t_s: frame.t_s,
         rgb: &frame.rgb,
         depth: &frame.depth,
         mask: None,

@@ -28,6 +28,7 @@ fn slam(scene: &Scene, par: Par) -> Slam {
 fn process(slam: &mut Slam, frame: &SynthFrame, with_mask: bool) -> FrameReport {
     let input = FrameInput {
         t_s: frame.t_s,
+        depth_t_s: frame.t_s,
         rgb: &frame.rgb,
         depth: &frame.depth,
         mask: with_mask.then_some(&frame.mask),
@@ -165,6 +166,7 @@ fn an_image_of_another_size_is_refused_and_the_run_goes_on() {
     frame.depth = DepthImage::new(160, 120, 1.0);
     let input = FrameInput {
         t_s: 1.0,
+        depth_t_s: 1.0,
         rgb: &frame.rgb,
         depth: &frame.depth,
         mask: None,

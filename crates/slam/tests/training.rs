@@ -36,6 +36,7 @@ fn run(scene: &Scene, config: Config, par: Par) -> (Slam, Vec<f32>) {
         let frame = scene.frame(i, Par::Seq);
         let input = FrameInput {
             t_s: frame.t_s,
+            depth_t_s: frame.t_s,
             rgb: &frame.rgb,
             depth: &frame.depth,
             mask: None,

@@ -75,8 +75,10 @@ pub enum TaggedLabels {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PatchMotionConfig {
-    /// Off by default: decision 012 says what it gains and what it costs.
+    /// Whether it is searched for: decision 012 says what it gains and what it costs.
     pub enabled: bool,
+    /// Share of the samples that free space must suspect; with fewer there is no crowd to look at closely.
+    pub min_suspects: f64,
     /// Ages of the images compared with, frames; a kept one may be off by half the least of these.
     pub ages_frames: [u32; 3],
     /// Standard deviation of a position found, px.
@@ -106,7 +108,8 @@ impl PatchMotionConfig {
 impl Default for PatchMotionConfig {
     fn default() -> Self {
         Self {
-            enabled: false,
+            enabled: true,
+            min_suspects: 0.1,
             ages_frames: [10, 20, 30],
             sigma_px: 0.5,
             min_eigenvalue: 5e-3,
@@ -130,7 +133,7 @@ impl Default for LabelConfig {
             trust_old: 0.97,
             settle_frames: 45,
             trust_unknown: 0.55,
-            memory_frames: 90,
+            memory_frames: 180,
             history_gap: 5,
             mask_freed_space: true,
             step_px: 16,

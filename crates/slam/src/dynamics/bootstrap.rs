@@ -34,7 +34,7 @@ const DRAWS: usize = 400;
 /// The best draws from which the minimum is searched.
 const STARTS: usize = 12;
 
-/// A frame as it came.
+/// A frame as it came, its depth at the time of its colour image.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct BufferedFrame {
     t_s: f64,
@@ -49,6 +49,7 @@ impl BufferedFrame {
     pub(crate) fn input(&self) -> FrameInput<'_> {
         FrameInput {
             t_s: self.t_s,
+            depth_t_s: self.t_s,
             rgb: &self.rgb,
             depth: &self.depth,
             mask: None,

@@ -19,9 +19,6 @@ use crate::frame::FrameLabels;
 use crate::mask::{self, CELL_PX};
 use crate::trace::Recorder;
 
-/// Share of suspects below which nothing moves; they are depth edges.
-pub(super) const MIN_MOVING: f64 = 0.02;
-
 /// Labels a frame's keypoints and mask from its first pose. `None` if the history contradicts
 /// nearly every sample, which is a wrong pose rather than a crowd.
 pub(crate) fn label_samples(
@@ -44,7 +41,7 @@ pub(crate) fn label_samples(
         .collect();
     let mut evidence = depth_evidence(context, history, &samples);
     let suspected = suspected_share(config, &evidence);
-    if let Some(pyramid) = view.pyramid.filter(|_| suspected >= MIN_MOVING) {
+    if let Some(pyramid) = view.pyramid.filter(|_| suspected >= config.labels.patch_motion.min_suspects) {
         add_patch_motion(context, view, pyramid, references, &samples, &mut evidence);
     }
     if suspected_share(config, &evidence) > config.labels.max_moving {

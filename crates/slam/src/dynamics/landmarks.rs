@@ -206,9 +206,9 @@ mod tests {
             ..
         } = &mut world;
         let recorder = &mut Recorder::default();
-        let changed = changed(dynamics.label_keyframe(context, map, back, &depth, None, recorder));
-        let left: Vec<_> = dynamics.free_space.keys().copied().collect();
-        assert_eq!(left, [back], "30 frames of memory");
+        dynamics.add_view(context, map, (map.keyframe(back), back), &depth, None);
+        let changed = changed(dynamics.label_keyframe(context, map, back, recorder));
+        assert_eq!(dynamics.past.len(), 1, "30 frames of memory");
         let expected: Vec<_> = of_box.iter().map(|id| (*id, Label::Static)).collect();
         assert_eq!(changed, expected, "the box is back");
         assert_eq!(alive(&world, &of_box), of_box.len(), "and kept");

@@ -235,12 +235,13 @@ fn displacements(
         }
         is_doubtful
     });
-    // Where the patch is instead: for most that are at rest, less than σ beside their prediction, one step
-    // on the full image shows that; the others are searched for from the coarsest level down.
+    // Where the patch is instead. One step on the full image is enough for those at rest, that are as well
+    // explained less than σ beside their prediction; the others are searched for from the coarsest level down.
     let mut found = track(&tasks, &one_step);
     let rests = |(task, step): (&Task, &LkTrack)| {
         let [dx, dy] = [0, 1].map(|k| f64::from(step.xy[k] - task.2[k]));
-        step.is_tracked() && dx.hypot(dy) < config.sigma_px
+        let explained = !explains_less(f64::from(step.residual), *least);
+        step.is_tracked() && explained && dx.hypot(dy) < config.sigma_px
     };
     let farther: Vec<usize> = (0..tasks.len())
         .filter(|&k| !rests((&tasks[k], &found[k])))
