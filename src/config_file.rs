@@ -88,6 +88,8 @@ pub fn write(config: &Config) -> Result<String> {
 
 #[cfg(test)]
 mod tests {
+    use garad_slam::config::LinearSolver;
+
     use super::*;
 
     fn parse(text: &str) -> Result<Config> {
@@ -119,6 +121,22 @@ mod tests {
         tail.crf.mean_field.method = garad_crf::Method::Reference;
         let text = "[crf.mean_field]\nmethod = \"reference\"\n";
         assert_eq!(parse(text).expect("valid"), tail, "a string for a table");
+    }
+
+    #[test]
+    fn solvers_are_named() {
+        let mut expected = Config::default();
+        expected.loops.linear_solver = LinearSolver::Faer;
+        let text = "[loops]\nlinear_solver = \"faer\"\n";
+        assert_eq!(parse(text).expect("valid"), expected, "by name");
+        let written = write(&expected).expect("TOML");
+        assert_eq!(parse(&written).expect("valid"), expected, "round trip");
+        let error = parse("[loops]\nlinear_solver = \"fear\"\n").expect_err("no such solver");
+        let error = format!("{error:#}");
+        assert!(
+            error.contains("config.toml:2: ") && error.contains("portable"),
+            "{error}"
+        );
     }
 
     #[test]

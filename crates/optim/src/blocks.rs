@@ -1,35 +1,66 @@
-//! [`BlockMatrix`]: sparse symmetric systems of 6x6 blocks, one per pose, by plain loops.
+//! [`BlockMatrix`]: sparse symmetric systems of 6x6 blocks, one per pose, and their solvers.
 //!
 //! Two poses share a block if something couples them: an edge of a pose graph, a point seen by
 //! both. Eliminating a pose couples all poses it was coupled with, so the order of elimination
-//! decides how many blocks fill in. [`Pattern`] picks it greedily: the pose with the fewest
-//! neighbours next (minimum degree; Tinney and Walker 1967), the lowest index among equals. A
-//! chain of keyframes then stays a chain, and a loop closure costs a few more blocks.
+//! decides how many blocks fill in. [`LinearSolver`] names who orders and factors:
 //!
-//! The factorisation is that of [`crate::solve`], A = L D Lᵀ, with blocks for numbers, in one
-//! order of operations: the same bits on every machine.
+//! | | [`LinearSolver::Portable`] | [`LinearSolver::Faer`] |
+//! |---|---|---|
+//! | code | loops in this file | the crate `faer`, by `faer_llt` |
+//! | order | minimum degree (Tinney and Walker 1967): the pose with the fewest neighbours next, the lowest index among equals | approximate minimum degree (Amestoy, Davis and Duff 1996) |
+//! | factor | A = L D Lᵀ as in [`crate::solve`], with blocks for numbers | A = L Lᵀ, columns of one structure together as a dense matrix |
+//! | bits | one order of operations: the same on every machine | depend on the vector instructions of the processor |
+//!
+//! In either order a chain of keyframes stays a chain, and a loop closure costs a few more blocks.
+//! Times of both: decision 017.
+
+mod faer_llt;
 
 use nalgebra::Vector6;
+use serde::{Deserialize, Serialize};
 
+use self::faer_llt::FaerLlt;
 use crate::solve::{NotPositiveDefinite, ldlt_factor, ldlt_substitute};
 
-/// A 6x6 block, column by column: (i, j) at 6 j + i.
-pub(crate) type Block = [f64; 36];
+/// The solver of a sparse system of poses (decision 017).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LinearSolver {
+    /// LDLᵀ by plain loops: the same bits on every machine.
+    #[default]
+    Portable,
+    /// LLᵀ of the crate `faer`, on one thread: faster for bundles of hundreds of keyframes. The last
+    /// bits depend on the vector instructions of the processor.
+    Faer,
+}
 
-/// Which blocks of the factor are not zero, and the order in which poses are eliminated.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Pattern {
-    /// Step at which each pose is eliminated.
+/// A 6x6 block, column by column: (i, j) at 6 j + i.
+pub type Block = [f64; 36];
+
+/// Where the blocks of a matrix are, analysed once for all matrices of that structure.
+///
+/// For [`LinearSolver::Portable`] the blocks are those of the factor, and `step` is the order in
+/// which poses are eliminated; for [`LinearSolver::Faer`] they are those of the matrix, in the order
+/// in which the poses came.
+#[derive(Debug)]
+pub struct Pattern {
+    /// Step of each pose: its row and column.
     step: Vec<usize>,
     /// `start[k]..start[k + 1]` are the blocks below the diagonal of the k-th column.
     start: Vec<usize>,
     /// Their rows (steps), ascending within a column.
     row: Vec<usize>,
+    /// `None`: the portable solver.
+    faer: Option<FaerLlt>,
 }
 
 impl Pattern {
     /// For n poses and the pairs of them that are coupled, in any order and multiplicity.
-    pub(crate) fn new(n: usize, pairs: impl IntoIterator<Item = (usize, usize)>) -> Self {
+    pub fn new(
+        n: usize,
+        pairs: impl IntoIterator<Item = (usize, usize)>,
+        solver: LinearSolver,
+    ) -> Self {
         let mut neighbours = vec![Vec::new(); n];
         for (a, b) in pairs {
             if a != b {
@@ -41,22 +72,10 @@ impl Pattern {
             list.sort_unstable();
             list.dedup();
         }
-        let mut step = vec![usize::MAX; n];
-        let mut columns = Vec::with_capacity(n);
-        for k in 0..n {
-            let next = (0..n)
-                .filter(|&a| step[a] == usize::MAX)
-                .min_by_key(|&a| neighbours[a].len())
-                .expect("k poses of n are eliminated so far");
-            step[next] = k;
-            let clique = std::mem::take(&mut neighbours[next]);
-            for &a in &clique {
-                let others = clique.iter().copied().filter(|&b| b != a);
-                let list = std::mem::take(&mut neighbours[a]);
-                neighbours[a] = union(list.into_iter().filter(|&b| b != next), others);
-            }
-            columns.push(clique);
-        }
+        let (step, columns) = match solver {
+            LinearSolver::Portable => minimum_degree(neighbours),
+            LinearSolver::Faer => ((0..n).collect(), below_diagonal(neighbours)),
+        };
         let (mut start, mut row) = (vec![0], Vec::new());
         for mut column in columns {
             for a in &mut column {
@@ -66,7 +85,13 @@ impl Pattern {
             row.extend(column);
             start.push(row.len());
         }
-        Self { step, start, row }
+        let faer = (solver == LinearSolver::Faer).then(|| FaerLlt::new(&start, &row));
+        Self {
+            step,
+            start,
+            row,
+            faer,
+        }
     }
 
     /// Number of poses.
@@ -74,26 +99,60 @@ impl Pattern {
         self.step.len()
     }
 
-    /// When a pose is eliminated: of a coupled pair, the later one is the row of their block.
-    pub(crate) fn step(&self, pose: usize) -> usize {
+    /// Row and column of a pose: of a coupled pair, the later step is the row of their block.
+    pub fn step(&self, pose: usize) -> usize {
         self.step[pose]
     }
 
     /// Place among the off-diagonal blocks of the one with this row and column (steps).
-    pub(crate) fn slot(&self, row: usize, column: usize) -> Option<usize> {
+    pub fn slot(&self, row: usize, column: usize) -> Option<usize> {
         let start = self.start[column];
         let rows = &self.row[start..self.start[column + 1]];
         rows.binary_search(&row).ok().map(|i| start + i)
     }
 
-    /// Number of off-diagonal blocks of the factor.
-    pub(crate) fn off_diagonal(&self) -> usize {
-        self.row.len()
+    /// Numbers that the factor holds, on the diagonal and below: fill-in, and what a solver adds.
+    pub fn factor_len(&self) -> usize {
+        match &self.faer {
+            None => 36 * (self.len() + self.row.len()),
+            Some(faer) => faer.factor_len(),
+        }
     }
 
     fn column(&self, k: usize) -> std::ops::Range<usize> {
         self.start[k]..self.start[k + 1]
     }
+}
+
+/// For each pose its coupled ones, ascending: the step of each pose, and the poses below the diagonal
+/// of each step's column once all earlier ones are eliminated.
+fn minimum_degree(mut neighbours: Vec<Vec<usize>>) -> (Vec<usize>, Vec<Vec<usize>>) {
+    let n = neighbours.len();
+    let mut step = vec![usize::MAX; n];
+    let mut columns = Vec::with_capacity(n);
+    for k in 0..n {
+        let next = (0..n)
+            .filter(|&a| step[a] == usize::MAX)
+            .min_by_key(|&a| neighbours[a].len())
+            .expect("k poses of n are eliminated so far");
+        step[next] = k;
+        let clique = std::mem::take(&mut neighbours[next]);
+        for &a in &clique {
+            let others = clique.iter().copied().filter(|&b| b != a);
+            let list = std::mem::take(&mut neighbours[a]);
+            neighbours[a] = union(list.into_iter().filter(|&b| b != next), others);
+        }
+        columns.push(clique);
+    }
+    (step, columns)
+}
+
+/// The poses below the diagonal of each column, without any elimination.
+fn below_diagonal(mut neighbours: Vec<Vec<usize>>) -> Vec<Vec<usize>> {
+    for (a, list) in neighbours.iter_mut().enumerate() {
+        list.retain(|&b| b > a);
+    }
+    neighbours
 }
 
 /// Two ascending lists merged into one, without repetition.
@@ -115,29 +174,38 @@ fn union(a: impl Iterator<Item = usize>, b: impl Iterator<Item = usize>) -> Vec<
 /// A symmetric matrix with the blocks of a [`Pattern`]: whole diagonal blocks by step, and what
 /// lies below them by slot.
 #[derive(Debug, Clone)]
-pub(crate) struct BlockMatrix<'a> {
+pub struct BlockMatrix<'a> {
     pattern: &'a Pattern,
-    pub(crate) diagonal: Vec<Block>,
-    pub(crate) lower: Vec<Block>,
+    /// A block per step; both triangles.
+    pub diagonal: Vec<Block>,
+    /// A block per slot.
+    pub lower: Vec<Block>,
 }
 
 impl<'a> BlockMatrix<'a> {
-    pub(crate) fn zeros(pattern: &'a Pattern) -> Self {
+    /// Without values.
+    pub fn zeros(pattern: &'a Pattern) -> Self {
         Self {
             pattern,
             diagonal: vec![[0.0; 36]; pattern.len()],
-            lower: vec![[0.0; 36]; pattern.off_diagonal()],
+            lower: vec![[0.0; 36]; pattern.row.len()],
         }
     }
 
-    /// x with A x = b, a vector per step; b is replaced. A becomes its factor.
+    /// x with A x = b, a vector per step; b is replaced.
     ///
     /// # Errors
-    /// [`NotPositiveDefinite`] at the first pivot that is not a positive finite number.
-    pub(crate) fn solve(mut self, b: &mut [Vector6<f64>]) -> Result<(), NotPositiveDefinite> {
-        self.factor()?;
-        self.substitute(b);
-        Ok(())
+    /// [`NotPositiveDefinite`] at the first pivot, in the solver's order, that is not a positive
+    /// finite number; faer does not tell its value.
+    pub fn solve(mut self, b: &mut [Vector6<f64>]) -> Result<(), NotPositiveDefinite> {
+        match &self.pattern.faer {
+            None => {
+                self.factor()?;
+                self.substitute(b);
+                Ok(())
+            }
+            Some(faer) => faer.solve(&self, b),
+        }
     }
 
     /// Column by column: L_ik = A_ik D_k⁻¹, then A_ij -= L_ik (L_jk D_k)ᵀ for all pairs below.
@@ -232,90 +300,4 @@ fn subtract_product(c: &mut Block, a: &Block, b: &Block) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use garad_core::Rng;
-    use nalgebra::{DMatrix, DVector};
-    use proptest::prelude::*;
-
-    fn filled(n: usize, pairs: &[(usize, usize)]) -> usize {
-        Pattern::new(n, pairs.iter().copied()).off_diagonal()
-    }
-
-    #[test]
-    fn chains_and_stars_do_not_fill() {
-        assert_eq!(filled(5, &[(0, 1), (1, 2), (2, 3), (3, 4)]), 4, "chain");
-        assert_eq!(
-            filled(5, &[(0, 1), (0, 2), (0, 3), (0, 4)]),
-            4,
-            "star: its centre goes last"
-        );
-        assert_eq!(
-            filled(4, &[(0, 1), (1, 2), (2, 3), (3, 0)]),
-            5,
-            "a ring gets one chord"
-        );
-        assert_eq!(
-            filled(3, &[(0, 1), (1, 0), (2, 2)]),
-            1,
-            "pairs count once, loops not at all"
-        );
-        assert_eq!(filled(0, &[]), 0, "nothing");
-    }
-
-    #[test]
-    fn indefinite_matrices_are_errors() {
-        let pattern = Pattern::new(2, [(0, 1)]);
-        let mut matrix = BlockMatrix::zeros(&pattern);
-        matrix.diagonal[0] = std::array::from_fn(|i| f64::from(u8::from(i % 7 == 0)));
-        let error = matrix.solve(&mut [Vector6::zeros(); 2]);
-        assert_eq!(error.map_err(|e| e.row), Err(6), "the second pose is free");
-    }
-
-    proptest! {
-        /// Σ JᵀJ over random couplings, and an identity: the block solver, and the full matrix
-        /// times its answer.
-        #[test]
-        fn solutions_solve(
-            pairs in proptest::collection::vec((0usize..9, 0usize..9), 0..20),
-            seed: u64,
-        ) {
-            let n = 9;
-            let mut rng = Rng::new(seed);
-            let pattern = Pattern::new(n, pairs.iter().copied());
-            let mut full = DMatrix::<f64>::identity(6 * n, 6 * n);
-            for &(a, b) in &pairs {
-                let mut j = DMatrix::<f64>::zeros(6, 6 * n);
-                for i in 0..6 {
-                    for k in 0..6 {
-                        j[(i, 6 * a + k)] = rng.normal();
-                        j[(i, 6 * b + k)] = rng.normal();
-                    }
-                }
-                full += j.transpose() * j;
-            }
-            let mut matrix = BlockMatrix::zeros(&pattern);
-            for a in 0..n {
-                for b in 0..n {
-                    let block = |i: usize| full[(6 * a + i % 6, 6 * b + i / 6)];
-                    let (row, column) = (pattern.step(a), pattern.step(b));
-                    if a == b {
-                        matrix.diagonal[row] = std::array::from_fn(block);
-                    } else if row > column
-                        && let Some(slot) = pattern.slot(row, column)
-                    {
-                        matrix.lower[slot] = std::array::from_fn(block);
-                    }
-                }
-            }
-            let right = DVector::from_fn(6 * n, |_, _| rng.normal());
-            let mut x = vec![Vector6::zeros(); n];
-            for a in 0..n {
-                x[pattern.step(a)] = right.fixed_rows::<6>(6 * a).into_owned();
-            }
-            matrix.solve(&mut x).unwrap();
-            let x = DVector::from_fn(6 * n, |i, _| x[pattern.step(i / 6)][i % 6]);
-            prop_assert!((full * &x - &right).amax() < 1e-10, "residual");
-        }
-    }
-}
+mod tests;

@@ -7,6 +7,7 @@ use garad_core::chi_square::{CHI2_2DOF_95, CHI2_3DOF_95};
 use garad_core::{Camera, Se3};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
+use crate::blocks::LinearSolver;
 use crate::error::{OptimError, positive};
 use crate::lm::{LmConfig, Model, Report, minimise};
 use crate::reprojection::{DepthObservation, Intrinsics, MIN_DEPTH_M, Reprojection};
@@ -44,6 +45,8 @@ pub struct BundleConfig {
     /// step covers only a part of the distance: the remainder is a few times as much (measured: 1e-6 stops
     /// 2e-6 above the optimum, 1e-7 stops 4e-7 above it).
     pub cost_tolerance: f64,
+    /// Of the reduced system of the poses.
+    pub linear_solver: LinearSolver,
 }
 
 impl Default for BundleConfig {
@@ -54,6 +57,7 @@ impl Default for BundleConfig {
             chi2_3d: CHI2_3DOF_95,
             robust: true,
             cost_tolerance: 1e-6,
+            linear_solver: LinearSolver::Portable,
         }
     }
 }
@@ -76,7 +80,7 @@ pub struct BundleReport {
 /// `poses` and `fixed` \[K\], `camera_from_world`, m · `points` \[N, 3\] m · `bf` fx times baseline, px·m
 /// # Numerics
 /// f64, sums in the order of points, then of the elimination of poses: the same bits on every
-/// machine. The reduced system has a 6x6 block per pair of poses that see a point together, and is
+/// machine by [`LinearSolver::Portable`]. The reduced system has a 6x6 block per pair of poses that see a point together, and is
 /// factored as a sparse one: a long trajectory costs little more than its windows do.
 ///
 /// Fixed poses do not move, nor do points without observations. Observations that start behind their
@@ -177,7 +181,8 @@ impl BundleModel {
                 (o.point, free.binary_search(&o.pose).ok(), i)
             })
             .collect();
-        let structure = Structure::new(free.len(), start.points.len(), &mut active);
+        let points = start.points.len();
+        let structure = Structure::new(free.len(), points, &mut active, config.linear_solver);
         let kernel = |chi2: f64| {
             if config.robust {
                 RobustKernel::Huber { delta: chi2.sqrt() }

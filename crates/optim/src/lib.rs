@@ -28,7 +28,7 @@
 //! ```
 
 pub mod adam;
-mod blocks;
+pub mod blocks;
 pub mod bundle;
 pub mod check;
 pub mod dense;
@@ -42,9 +42,12 @@ pub mod robust;
 mod schur;
 pub mod shutter;
 pub mod solve;
+#[cfg(test)]
+mod testing;
 pub mod triangulation;
 
 pub use adam::{Adam, AdamConfig, sgd};
+pub use blocks::LinearSolver;
 pub use bundle::{BundleConfig, BundleObservation, BundleReport, optimise_bundle};
 pub use check::check_jacobian;
 pub use error::OptimError;

@@ -22,7 +22,7 @@
 use garad_core::Se3;
 use nalgebra::{Matrix6, SMatrix, Vector6};
 
-use crate::blocks::{Block, BlockMatrix, Pattern};
+use crate::blocks::{Block, BlockMatrix, LinearSolver, Pattern};
 use crate::dense::SMALLEST_DIAGONAL;
 use crate::error::{OptimError, positive};
 use crate::lm::{Damped, LmConfig, Model, Report, System, minimise};
@@ -51,6 +51,8 @@ pub struct PoseGraphConfig {
     pub cost_tolerance: f64,
     /// On rᵀΩr of each edge; limits the effect of a wrong loop closure.
     pub kernel: RobustKernel,
+    /// Of the steps.
+    pub linear_solver: LinearSolver,
 }
 
 impl Default for PoseGraphConfig {
@@ -59,6 +61,7 @@ impl Default for PoseGraphConfig {
             iterations: 20,
             cost_tolerance: 1e-6,
             kernel: RobustKernel::None,
+            linear_solver: LinearSolver::Portable,
         }
     }
 }
@@ -119,8 +122,8 @@ impl PoseGraph {
     /// Optimises the free poses by Levenberg-Marquardt.
     ///
     /// # Numerics
-    /// f64, sums in the order of the edges, sparse LDLᵀ of 6x6 blocks (`blocks`): the same
-    /// bits on every machine. Rotations of a residual near π have a kink in their logarithm: start
+    /// f64, sums in the order of the edges, sparse systems of 6x6 blocks ([`crate::blocks`]): the same
+    /// bits on every machine by [`LinearSolver::Portable`]. Rotations of a residual near π have a kink in their logarithm: start
     /// from poses that are less than half a turn wrong.
     ///
     /// # Errors
@@ -232,7 +235,7 @@ impl<'g> GraphModel<'g> {
             n += 1;
         }
         let pairs = graph.edges.iter().filter_map(|e| free[e.a].zip(free[e.b]));
-        let pattern = Pattern::new(n, pairs);
+        let pattern = Pattern::new(n, pairs, config.linear_solver);
         Self {
             edges: &graph.edges,
             kernel: config.kernel,

@@ -27,14 +27,14 @@
 
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 
-use crate::blocks::{Block, BlockMatrix, Pattern};
+use crate::blocks::{Block, BlockMatrix, LinearSolver, Pattern};
 use crate::dense::SMALLEST_DIAGONAL;
 use crate::lm::{Damped, System};
 use crate::solve::ldlt_inverse;
 
 /// Which free pose and which point each observation connects; grouped by point, and within a
 /// point by the step at which [`Pattern`] eliminates the pose (fixed ones first).
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug)]
 pub(crate) struct Structure {
     pub(crate) pattern: Pattern,
     /// Observations `start[l]..start[l + 1]` are those of point l.
@@ -61,6 +61,7 @@ impl Structure {
         poses: usize,
         points: usize,
         observations: &mut [(usize, Option<usize>, usize)],
+        solver: LinearSolver,
     ) -> Self {
         observations.sort_by_key(|o| o.0); // stable: the order within a point stays
         let same_point = |a: &(usize, _, _), b: &(usize, _, _)| a.0 == b.0;
@@ -75,7 +76,7 @@ impl Structure {
             }
         }
         let pairs = (0..coupled.len()).filter(|&i| coupled[i]);
-        let pattern = Pattern::new(poses, pairs.map(|i| (i / poses, i % poses)));
+        let pattern = Pattern::new(poses, pairs.map(|i| (i / poses, i % poses)), solver);
         let step = |o: &(usize, Option<usize>, usize)| o.1.map(|pose| pattern.step(pose));
         observations.sort_by_key(|o| (o.0, step(o)));
         let mut place = Vec::new();
@@ -398,12 +399,13 @@ fn subtract_product(c: &mut Block, a: &Coupling, b: &Coupling) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::with_each_solver;
     use garad_core::so3::hat;
     use garad_core::{Rng, So3};
 
     /// Two free poses and a fixed one, three points, one of them unseen, one seen twice by one
     /// pose; random derivatives.
-    fn structure() -> Structure {
+    fn structure(solver: LinearSolver) -> Structure {
         let mut observations = [
             (0, Some(0), 0),
             (0, None, 1),
@@ -412,7 +414,7 @@ mod tests {
             (1, Some(0), 4),
             (0, Some(1), 5),
         ];
-        Structure::new(2, 3, &mut observations)
+        Structure::new(2, 3, &mut observations, solver)
     }
 
     fn random_system(structure: &Structure) -> SchurSystem<'_> {
@@ -442,7 +444,7 @@ mod tests {
     /// The parts of one observation are JᵀJ and Jᵀr of [J [I, -p^], J R].
     #[test]
     fn parts_are_products_of_the_full_jacobian() {
-        let structure = Structure::new(1, 1, &mut [(0, Some(0), 0)]);
+        let structure = Structure::new(1, 1, &mut [(0, Some(0), 0)], LinearSolver::Portable);
         let mut system = SchurSystem::zeros(&structure);
         let jacobian = Matrix3::new(1.0, 0.5, -0.3, 0.2, 2.0, 0.7, -0.4, 0.1, 1.5);
         let residual = Vector3::new(0.3, -0.8, 0.5);
@@ -475,9 +477,8 @@ mod tests {
     }
 
     /// E13 solves the full system: U h_p + W h_l = -g_p and Wᵀ h_p + V h_l = -g_l, damped.
-    #[test]
-    fn elimination_solves_the_full_system() {
-        let structure = structure();
+    fn elimination_solves_the_full_system(solver: LinearSolver) {
+        let structure = structure(solver);
         let system = random_system(&structure);
         for lambda in [1e-6, 0.1, 10.0] {
             let step = system.solve(lambda).expect("positive definite").step;
@@ -507,10 +508,12 @@ mod tests {
         }
     }
 
+    with_each_solver! { elimination_solves_the_full_system }
+
     /// ½ hᵀ(λDh - g) is F(0) - L(h) = -gᵀh - ½ hᵀHh with the undamped H.
     #[test]
     fn promised_decrease_is_that_of_the_model() {
-        let structure = structure();
+        let structure = structure(LinearSolver::Portable);
         let system = random_system(&structure);
         let damped = system.solve(0.3).expect("positive definite");
         let BundleStep { poses, points } = &damped.step;

@@ -13,7 +13,7 @@ use thiserror::Error;
 pub struct NotPositiveDefinite {
     /// Row of the pivot.
     pub row: usize,
-    /// The pivot found: zero, negative or NaN.
+    /// The pivot found: zero, negative, infinite or NaN; NaN also from a solver that does not tell.
     pub pivot: f64,
 }
 

@@ -11,6 +11,7 @@ mod validate;
 
 use garad_crf::CrfConfig;
 pub use garad_features::flow::FlowConfig;
+pub use garad_optim::LinearSolver;
 use serde::{Deserialize, Serialize};
 
 pub use keyframing::{CullingConfig, KeyframeConfig, LocalBaConfig, LoopConfig, TwoViewConfig};

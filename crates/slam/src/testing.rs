@@ -1,6 +1,8 @@
 //! Fixtures of the unit tests: a small camera in front of a wall, and its frames.
 
-use garad_core::{Camera, DepthImage, FrameId, GrayImage, KeyframeId, MaskImage, Par, Rng};
+use garad_core::{
+    Camera, DepthImage, FrameId, GrayImage, KeyframeId, LandmarkId, MaskImage, Par, Rng,
+};
 use garad_features::{Descriptor, Keypoint, LkPyramid};
 
 use crate::config::Config;
@@ -38,6 +40,27 @@ impl World {
             dynamics: Dynamics::new(&context).expect("valid"),
             context,
         }
+    }
+
+    /// Three keyframes at the same place that observe 300 points of the wall, and these points.
+    pub(crate) fn three_views() -> (Self, Vec<LandmarkId>) {
+        let mut world = Self::new(Config::default());
+        let depth = wall();
+        let first = world.frame(0, &depth);
+        let first = world.map.add_keyframe(first);
+        let World { context, map, .. } = &mut world;
+        let made: Vec<_> = (0..300)
+            .map(|i| {
+                let p_world = map.keyframe(first).world_point(i, &context.camera);
+                map.add_landmark(p_world.expect("on the wall"), first, i, &context.scales)
+            })
+            .collect();
+        for id in [20, 40] {
+            let mut seen = world.frame(id, &depth);
+            seen.landmark = made.iter().copied().map(Some).collect();
+            world.map.add_keyframe(seen);
+        }
+        (world, made)
     }
 
     /// A frame with a keypoint at each of [`places`].

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::lm::{StopReason, System};
+use crate::testing::with_each_solver;
 use garad_core::{Rng, So3};
 use nalgebra::Vector6;
 
@@ -99,8 +100,7 @@ fn exact_observations_give_the_exact_bundle() {
 
 /// A whole trajectory at once: 16 keyframes, each point seen by four in a row. The reduced system is a band,
 /// and some points seen from both ends close it to a ring.
-#[test]
-fn a_long_path_is_one_bundle() {
+fn a_long_path_is_one_bundle(solver: LinearSolver) {
     let mut scene = scene(16, 240);
     let window = |point: usize| point % 13..point % 13 + 4;
     let at_both_ends = |o: &BundleObservation| o.point < 12 && (o.pose < 2 || o.pose > 13);
@@ -110,6 +110,7 @@ fn a_long_path_is_one_bundle() {
     let config = BundleConfig {
         iterations: 60,
         cost_tolerance: 1e-14,
+        linear_solver: solver,
         ..BundleConfig::default()
     };
     let report = optimise_bundle(
@@ -127,6 +128,8 @@ fn a_long_path_is_one_bundle() {
         assert!((*found * truth.inverse()).log().norm() < 1e-4, "{found:?}");
     }
 }
+
+with_each_solver! { a_long_path_is_one_bundle }
 
 /// A free pose without a single observation has no equation; the others are still solved.
 #[test]

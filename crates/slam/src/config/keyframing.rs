@@ -1,5 +1,6 @@
 //! Keyframes, landmarks, local bundle adjustment, loops and culling.
 
+use garad_optim::LinearSolver;
 use serde::{Deserialize, Serialize};
 
 /// When a frame becomes a keyframe, and which landmarks it makes.
@@ -125,6 +126,10 @@ pub struct LoopConfig {
     pub max_drift_floor_m: f64,
     /// Iterations of the global bundle adjustment afterwards; 0: none.
     pub bundle_iterations: usize,
+    /// Of the pose graph and the global bundle adjustment (decision 017): "portable", or "faer", which is
+    /// faster from some hundred keyframes on and whose last bits depend on the processor. Local bundles
+    /// are always solved by the portable one.
+    pub linear_solver: LinearSolver,
 }
 
 impl Default for LoopConfig {
@@ -139,6 +144,7 @@ impl Default for LoopConfig {
             max_drift: 0.05,
             max_drift_floor_m: 0.2,
             bundle_iterations: 10,
+            linear_solver: LinearSolver::Portable,
         }
     }
 }

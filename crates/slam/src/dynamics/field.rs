@@ -210,7 +210,9 @@ mod tests {
 
     #[test]
     fn a_keyframe_is_part_of_the_history_for_memory_frames() {
-        let world = world_that_saw(&wall(), Config::default());
+        let mut config = Config::default();
+        config.labels.memory_frames = 90;
+        let world = world_that_saw(&wall(), config);
         let depth = wall_behind([[48, 112], [32, 96]]);
         for (id, found) in [(130, true), (131, false)] {
             let mut now = world.frame(id, &depth);

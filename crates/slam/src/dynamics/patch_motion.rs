@@ -490,7 +490,9 @@ mod tests {
             "{found} of {} beside an edge",
             all.len()
         );
-        let off = world_that_saw(&images, Config::default());
+        let mut config = config();
+        config.labels.patch_motion.enabled = false;
+        let off = world_that_saw(&images, config);
         let [shirt, _] = residuals(&off, &wall(), &swayed(SWAY_PX));
         assert!(largest(&shirt) <= 0.0, "off");
     }

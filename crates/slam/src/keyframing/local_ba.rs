@@ -36,10 +36,11 @@ pub(crate) fn local_ba(
     }
     let mut fixed = by_count(&others);
     fixed.truncate(config.max_fixed);
-    let iterations = config.iterations;
-    adjust(
-        context, map, &free, &fixed, &landmarks, iterations, recorder,
-    );
+    let bundle = BundleConfig {
+        iterations: config.iterations,
+        ..BundleConfig::default()
+    };
+    adjust(context, map, &free, &fixed, &landmarks, &bundle, recorder);
 }
 
 /// Optimises free keyframes and landmarks over all observations by these and the fixed ones.
@@ -50,7 +51,7 @@ pub(crate) fn adjust(
     free: &[KeyframeId],
     fixed: &[KeyframeId],
     landmarks: &[LandmarkId],
-    iterations: usize,
+    bundle: &BundleConfig,
     recorder: &mut Recorder,
 ) {
     if free.is_empty() || fixed.is_empty() || landmarks.is_empty() {
@@ -89,10 +90,6 @@ pub(crate) fn adjust(
         points.push(landmark.p_world);
     }
     let before = (recorder.is_recording()).then(|| (poses.clone(), points.clone()));
-    let bundle = BundleConfig {
-        iterations,
-        ..BundleConfig::default()
-    };
     let report = optimise_bundle(
         &context.camera,
         config.bf,
@@ -100,7 +97,7 @@ pub(crate) fn adjust(
         &is_fixed,
         &mut points,
         &observations,
-        &bundle,
+        bundle,
     )
     .expect("poses, landmarks and observations of the map are finite");
     if let Some((poses_before, points_before)) = before {
@@ -130,33 +127,12 @@ pub(crate) fn adjust(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
-    use crate::testing::{World, wall};
+    use crate::testing::World;
 
-    /// Three keyframes at the same place observe 300 points of a wall; the last of them sees one 30 px off.
+    /// The last of three keyframes sees one of 300 points 30 px off.
     #[test]
     fn outlier_observations_are_removed() {
-        let mut world = World::new(Config::default());
-        let depth = wall();
-        let first = world.frame(0, &depth);
-        let first = world.map.add_keyframe(first);
-        let made: Vec<_> = (0..300)
-            .map(|i| {
-                let p_world = world
-                    .map
-                    .keyframe(first)
-                    .world_point(i, &world.context.camera);
-                let p_world = p_world.expect("on the wall");
-                world
-                    .map
-                    .add_landmark(p_world, first, i, &world.context.scales)
-            })
-            .collect();
-        for id in [20, 40] {
-            let mut seen = world.frame(id, &depth);
-            seen.landmark = made.iter().copied().map(Some).collect();
-            world.map.add_keyframe(seen);
-        }
+        let (mut world, made) = World::three_views();
         let newest = KeyframeId(2);
         world.map.keyframe_mut(newest).uv_px[7].y += 30.0;
         let World { context, map, .. } = &mut world;

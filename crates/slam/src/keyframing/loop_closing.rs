@@ -22,7 +22,7 @@ use std::collections::BTreeSet;
 
 use garad_core::{KeyframeId, LandmarkId, Se3};
 use garad_features::PlaceIndex;
-use garad_optim::{PoseEdge, PoseGraph, PoseGraphConfig};
+use garad_optim::{BundleConfig, PoseEdge, PoseGraph, PoseGraphConfig};
 use nalgebra::{Matrix6, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
@@ -241,7 +241,11 @@ fn correct_path(
     graph
         .edges
         .push(edge(a, b, relative(located, b), closure.inliers));
-    match graph.optimise(&PoseGraphConfig::default()) {
+    let config = PoseGraphConfig {
+        linear_solver: context.config.loops.linear_solver,
+        ..PoseGraphConfig::default()
+    };
+    match graph.optimise(&config) {
         Ok(_) if graph.poses.iter().all(Se3::is_finite) => {}
         _ => return false,
     }
@@ -284,17 +288,20 @@ fn join_landmarks(context: &Context, map: &mut Map, closure: &LoopClosure, seen:
 
 /// Bundle adjustment of all keyframes but the first and all static landmarks.
 fn global_ba(context: &Context, map: &mut Map, recorder: &mut Recorder) {
-    let iterations = context.config.loops.bundle_iterations;
-    if iterations == 0 {
+    let config = &context.config.loops;
+    if config.bundle_iterations == 0 {
         return;
     }
+    let bundle = BundleConfig {
+        iterations: config.bundle_iterations,
+        linear_solver: config.linear_solver,
+        ..BundleConfig::default()
+    };
     let free: Vec<_> = map.kept_ids().filter(|k| k.0 != 0).collect();
     let mut landmarks: Vec<LandmarkId> = map.landmark_ids();
     landmarks.retain(|l| map.static_landmark(*l).is_some());
     let fixed = [KeyframeId(0)];
-    adjust(
-        context, map, &free, &fixed, &landmarks, iterations, recorder,
-    );
+    adjust(context, map, &free, &fixed, &landmarks, &bundle, recorder);
 }
 
 /// after_from_before, in the world, of every keyframe.
@@ -327,7 +334,7 @@ mod tests {
     use garad_core::{Camera, DepthImage, So3};
 
     use super::*;
-    use crate::config::Config;
+    use crate::config::{Config, LinearSolver};
     use crate::testing::{World, keypoints};
 
     const SIZE: (usize, usize) = (64, 48);
@@ -403,6 +410,42 @@ mod tests {
         assert!(last.log().norm() < 2e-3, "the ends meet: {last:?}");
         for (now, then) in in_camera(&world).iter().zip(&seen_before) {
             assert!((now - then).norm() < 1e-9, "a landmark left its keyframe");
+        }
+    }
+
+    /// The setting reaches the pose graph and the global bundle: other last bits, the same poses.
+    #[test]
+    fn the_linear_solver_is_a_setting() {
+        let graph = |solver| {
+            let mut world = drifted(Se3::exp(&Vector6::new(0.0, 0.005, 0.0, 0.0, 0.004, 0.0)));
+            world.context.config.loops.linear_solver = solver;
+            let World { context, map, .. } = &mut world;
+            let (keyframe, older) = (KeyframeId(STEPS), KeyframeId(0));
+            let closure = LoopClosure {
+                keyframe,
+                older,
+                inliers: 1000,
+                drift_m: 0.0,
+            };
+            let solved = correct_path(context, map, &[], &closure, Se3::identity());
+            assert!(solved, "{solver:?}");
+            map.keyframe_poses()
+        };
+        let bundle = |solver| {
+            let (mut world, _) = World::three_views();
+            world.context.config.loops.linear_solver = solver;
+            let World { context, map, .. } = &mut world;
+            let off = Vector6::new(0.02, -0.01, 0.01, 0.003, 0.002, -0.004);
+            map.keyframe_mut(KeyframeId(1)).camera_from_world = Se3::exp(&off);
+            global_ba(context, map, &mut Recorder::default());
+            map.keyframe_poses()
+        };
+        let both = [LinearSolver::Portable, LinearSolver::Faer];
+        for [portable, faer] in [both.map(graph), both.map(bundle)] {
+            assert!(portable != faer, "the setting counts");
+            for (a, b) in portable.iter().zip(&faer) {
+                assert!((*a * b.inverse()).log().norm() < 1e-9, "{a:?} {b:?}");
+            }
         }
     }
 

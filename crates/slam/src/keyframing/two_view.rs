@@ -184,3 +184,135 @@ fn point_of_pair(
     let known = inverse_depth >= context.config.two_view.min_certainty * sigma;
     (known && point.largest_chi2 <= CHI2_2DOF_95).then_some(point)
 }
+
+#[cfg(test)]
+mod tests {
+    use garad_core::{DepthImage, Label, Se3, So3};
+    use garad_features::Descriptor;
+
+    use super::*;
+    use crate::config::Config;
+    use crate::testing::{World, keypoints};
+    use crate::tracking::observation::link_observation;
+
+    /// Pixels of the first camera, whole ones, whose rays meet far points in the second, a whole number of pixels beside.
+    const PLACES: [[usize; 2]; 3] = [[40, 30], [80, 60], [120, 90]];
+
+    /// Two keyframes with a common landmark that makes them neighbours; the second is `baseline_m` to the right. Each
+    /// of [`PLACES`] shows a point `shift_px` to the left in the second, and nothing there has depth.
+    fn two_keyframes(baseline_m: f64, shift_px: usize, rows_off: usize) -> (World, KeyframeId) {
+        let mut world = World::new(Config::default());
+        let mut ids = Vec::new();
+        for (k, shift) in [(0, 0), (1, shift_px)] {
+            let off = if k == 0 { 0 } else { rows_off };
+            let shifted = PLACES.map(|[x, y]| [x - shift, y + off]);
+            let mut places = shifted.to_vec();
+            places.push([20, 100]); // the common landmark, with depth
+            let mut depth = DepthImage::new(160, 120, 0.0);
+            for y in 96..105 {
+                depth.row_mut(y)[10..30].fill(2.0);
+            }
+            let mut frame = world.frame_of(k, &keypoints(places), &depth);
+            for (i, descriptor) in (0u32..).zip(&mut frame.descriptors) {
+                *descriptor = Descriptor([u64::MAX << (12 * i), u64::MAX >> (9 * i), 0, 0]);
+            }
+            let x = f64::from(k) * baseline_m;
+            frame.camera_from_world = Se3::new(So3::identity(), Vector3::new(-x, 0.0, 0.0));
+            ids.push(world.map.add_keyframe(frame));
+        }
+        let scales = world.context.scales.clone();
+        let common = Vector3::new(-1.0, 0.7, 2.0);
+        let common = world.map.add_landmark(common, ids[0], 3, &scales);
+        world.map.add_observation(common, ids[1], 3);
+        (world, ids[1])
+    }
+
+    fn made(world: &mut World, id: KeyframeId) -> Vec<LandmarkId> {
+        let World { context, map, .. } = world;
+        two_view_landmarks(context, map, id)
+    }
+
+    /// f b / shift = 120 px * 1 m / 10 px = 12 m.
+    #[test]
+    fn far_points_become_landmarks_without_depth() {
+        let (mut world, second) = two_keyframes(1.0, 10, 0);
+        let ids = made(&mut world, second);
+        assert_eq!(ids.len(), PLACES.len());
+        for (id, [x, y]) in ids.iter().zip(PLACES) {
+            let landmark = world.map.landmark(*id).expect("made");
+            let px = Vector2::new(x as f64, y as f64);
+            let expected = world.context.camera.unproject(&px, 12.0);
+            let off = (landmark.p_world - expected).norm();
+            assert!(off < 1e-6, "{off} m from where the rays meet");
+            assert_eq!(landmark.observations.len(), 2, "both views");
+            assert_eq!(landmark.label(), Label::Static);
+            let triangulated = matches!(landmark.depth, LandmarkDepth::Triangulated { .. });
+            assert!(triangulated, "{:?}", landmark.depth);
+        }
+        assert!(made(&mut world, second).is_empty(), "none is left");
+    }
+
+    /// σ_ρ = √2 / (f b): 4 σ_ρ are 5.7 px of shift, whatever the baseline.
+    #[test]
+    fn what_is_hardly_nearer_than_infinity_is_left_out() {
+        for (shift, expected) in [(5, 0), (6, PLACES.len())] {
+            let (mut world, second) = two_keyframes(1.0, shift, 0);
+            assert_eq!(made(&mut world, second).len(), expected, "{shift} px");
+        }
+    }
+
+    /// With σ = 1 px, the gate of 5.99 allows each view (Δ/2)² with Δ rows between them, and the search 2 px.
+    #[test]
+    fn what_is_beside_the_ray_is_no_match() {
+        for (rows, expected) in [(1, PLACES.len()), (3, 0)] {
+            let (mut world, second) = two_keyframes(1.0, 10, rows);
+            assert_eq!(made(&mut world, second).len(), expected, "{rows} rows beside");
+        }
+    }
+
+    #[test]
+    fn a_keyframe_with_depth_measures_it() {
+        let (mut world, second) = two_keyframes(1.0, 10, 0);
+        let ids = made(&mut world, second);
+        let mut third = world.frame_of(2, &keypoints(PLACES), &DepthImage::new(160, 120, 7.5));
+        third.landmark[0] = Some(ids[0]);
+        let third = world.map.add_keyframe(third);
+        let depth = |id: LandmarkId| world.map.landmark(id).expect("made").depth;
+        assert_eq!(depth(ids[0]), LandmarkDepth::Measured { since: third });
+        assert_ne!(depth(ids[1]), LandmarkDepth::Measured { since: third });
+    }
+
+    /// Seen from between the two views its depth does not matter; from the side it does.
+    #[test]
+    fn what_is_not_known_widens_sigma() {
+        let (mut world, second) = two_keyframes(1.0, 10, 0);
+        let id = made(&mut world, second)[1];
+        let landmark = world.map.landmark(id).expect("made");
+        let sigma_at = |x: f64| {
+            let depth = DepthImage::new(160, 120, 0.0);
+            let mut frame = world.frame_of(2, &keypoints(PLACES), &depth);
+            frame.camera_from_world = Se3::new(So3::identity(), Vector3::new(-x, 0.0, 0.0));
+            link_observation(&world.context, &frame, 1, landmark).sigma_px
+        };
+        // Between two views, each with σ = 1 px, their mean has √½ px; beyond, the line through both is
+        // extended: at the position x = s b, of variance (1 - s)² + s².
+        for (x, variance) in [(0.5, 0.5), (0.0, 1.0), (1.0, 1.0), (3.0, 13.0)] {
+            let sigma = sigma_at(x);
+            let expected = (1.0 + f64::max(variance, 0.5)).sqrt();
+            assert!((sigma - expected).abs() < 0.01, "{x} m: {sigma} px, {expected} expected");
+        }
+    }
+
+    /// After an adjustment that moved a camera to where both views are the same, nothing is known of depth.
+    #[test]
+    fn a_landmark_that_is_no_longer_determined_is_dropped() {
+        let (mut world, second) = two_keyframes(1.0, 10, 0);
+        let id = made(&mut world, second)[0];
+        let World { context, map, .. } = &mut world;
+        update_covariance(context, map, id);
+        assert!(map.landmark(id).is_some(), "still determined");
+        map.drop_observation(id, second);
+        update_covariance(context, map, id);
+        assert!(map.landmark(id).is_none(), "one view");
+    }
+}
