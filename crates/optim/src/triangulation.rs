@@ -285,6 +285,9 @@ mod tests {
         let one = triangulate(&camera, &[seen_at(0.0, 1.0)]);
         assert!(matches!(one, Err(OptimError::TooFewObservations { .. })));
         let nan = [seen_at(0.0, f64::NAN), seen_at(0.5, 1.0)];
-        assert!(matches!(triangulate(&camera, &nan), Err(OptimError::NotFinite { index: 0, .. })));
+        assert!(matches!(
+            triangulate(&camera, &nan),
+            Err(OptimError::NotFinite { index: 0, .. })
+        ));
     }
 }

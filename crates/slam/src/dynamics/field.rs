@@ -41,7 +41,10 @@ pub(crate) fn label_samples(
         .collect();
     let mut evidence = depth_evidence(context, history, &samples);
     let suspected = suspected_share(config, &evidence);
-    if let Some(pyramid) = view.pyramid.filter(|_| suspected >= config.labels.patch_motion.min_suspects) {
+    if let Some(pyramid) = view
+        .pyramid
+        .filter(|_| suspected >= config.labels.patch_motion.min_suspects)
+    {
         add_patch_motion(context, view, pyramid, references, &samples, &mut evidence);
     }
     if suspected_share(config, &evidence) > config.labels.max_moving {

@@ -93,7 +93,9 @@ mod tests {
         DepthImage::from_fn(160, 120, |x, y| {
             let px = nalgebra::Vector2::new(x as f64, y as f64);
             let ray = world_from_camera.rotation * camera.unproject(&px, 1.0);
-            let hits = world.iter().map(|(n, d)| (d - n.dot(&centre)) / n.dot(&ray));
+            let hits = world
+                .iter()
+                .map(|(n, d)| (d - n.dot(&centre)) / n.dot(&ray));
             let nearest = hits.filter(|z| *z > 0.0).fold(f64::INFINITY, f64::min);
             garad_core::Real::to_f32(nearest)
         })
@@ -117,10 +119,19 @@ mod tests {
         let then = Se3::exp(&(motion.log() * (-1.0 / 3.0))) * now;
         let (before, exact) = (planes(&world, &then), planes(&world, &now));
         let found = depth_at_colour_time(&before, &camera(), &(then * now.inverse()), Par::Seq);
-        let (uncorrected, corrected) = (largest_error(&before, &exact), largest_error(&found, &exact));
-        assert!(uncorrected > 0.03, "{uncorrected} m: 1 cm nearer, 1 degree turned");
+        let (uncorrected, corrected) = (
+            largest_error(&before, &exact),
+            largest_error(&found, &exact),
+        );
+        assert!(
+            uncorrected > 0.03,
+            "{uncorrected} m: 1 cm nearer, 1 degree turned"
+        );
         // Half a pixel of the floor's slope is left, where it meets the wall at 3 m.
-        assert!(corrected < 0.4 * uncorrected, "{corrected} of {uncorrected} m");
+        assert!(
+            corrected < 0.4 * uncorrected,
+            "{corrected} of {uncorrected} m"
+        );
     }
 
     #[test]

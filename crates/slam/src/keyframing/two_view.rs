@@ -69,7 +69,9 @@ pub(crate) fn update_covariance(context: &Context, map: &mut Map, id: LandmarkId
         return;
     };
     let views = landmark.observations.iter();
-    let views: Vec<_> = views.map(|(k, i)| point_view(map.keyframe(*k), *i)).collect();
+    let views: Vec<_> = views
+        .map(|(k, i)| point_view(map.keyframe(*k), *i))
+        .collect();
     let point = TriangulatedPoint::at(landmark.p_world, &context.camera, &views);
     match point.filter(|_| views.len() >= 2) {
         Some(point) => set_covariance(map, id, point.covariance),
@@ -91,7 +93,11 @@ fn is_free(frame: &Frame, i: usize) -> bool {
 }
 
 /// Keypoints of two keyframes that show one point, and the point. Each keypoint is in one pair at most.
-fn pairs(context: &Context, first: &Frame, second: &Frame) -> Vec<(usize, usize, TriangulatedPoint)> {
+fn pairs(
+    context: &Context,
+    first: &Frame,
+    second: &Frame,
+) -> Vec<(usize, usize, TriangulatedPoint)> {
     let mut taken = vec![false; second.len()];
     let mut pairs = Vec::new();
     for i in (0..first.len()).filter(|&i| is_free(first, i)) {
@@ -266,7 +272,11 @@ mod tests {
     fn what_is_beside_the_ray_is_no_match() {
         for (rows, expected) in [(1, PLACES.len()), (3, 0)] {
             let (mut world, second) = two_keyframes(1.0, 10, rows);
-            assert_eq!(made(&mut world, second).len(), expected, "{rows} rows beside");
+            assert_eq!(
+                made(&mut world, second).len(),
+                expected,
+                "{rows} rows beside"
+            );
         }
     }
 
@@ -299,7 +309,10 @@ mod tests {
         for (x, variance) in [(0.5, 0.5), (0.0, 1.0), (1.0, 1.0), (3.0, 13.0)] {
             let sigma = sigma_at(x);
             let expected = (1.0 + f64::max(variance, 0.5)).sqrt();
-            assert!((sigma - expected).abs() < 0.01, "{x} m: {sigma} px, {expected} expected");
+            assert!(
+                (sigma - expected).abs() < 0.01,
+                "{x} m: {sigma} px, {expected} expected"
+            );
         }
     }
 
