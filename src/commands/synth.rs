@@ -15,7 +15,7 @@ use super::{WorkArgs, make_folder, say};
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// quiet_desk, walking, crowd, stop_and_go, in_step, loop, comes_to_rest, sets_off, tripod,
-    /// lights_out, throng or huddle.
+    /// lights_out, throng, huddle or hall.
     scene: SceneName,
     /// Folder of the recording.
     #[arg(short = 'o', long = "out", value_name = "DIR")]
@@ -29,7 +29,8 @@ pub(crate) struct Args {
     /// Frames per second.
     #[arg(long, default_value_t = 30.0)]
     fps: f64,
-    /// Depth and colour with the noise of a Kinect.
+    /// Depth and colour with the noise of a Kinect. In `hall`, depth beyond 5 m is missing with and
+    /// without it.
     #[arg(long)]
     noise: bool,
     /// The same recording without moving objects.

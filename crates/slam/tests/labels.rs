@@ -84,10 +84,17 @@ fn config() -> Config {
     config
 }
 
-/// With patch motion since older images.
+/// Depth alone, without patch motion since older images.
+fn depth_alone() -> Config {
+    let mut config = config();
+    config.labels.patch_motion.enabled = false;
+    config
+}
+
+/// Patch motion in every frame.
 fn with_patch_motion() -> Config {
     let mut config = config();
-    config.labels.patch_motion.enabled = true;
+    config.labels.patch_motion.min_suspects = 0.0;
     config
 }
 
@@ -368,7 +375,7 @@ fn dark_frames_change_no_label() {
 
 #[test]
 fn any_number_of_threads_finds_the_same_labels() {
-    for config in [config(), with_patch_motion()] {
+    for config in [depth_alone(), with_patch_motion()] {
         same_labels_on_threads(&config);
     }
 }
@@ -548,7 +555,7 @@ fn more_keypoints_are_detected_where_people_take_some() {
 #[test]
 fn older_images_find_more_of_what_sets_off() {
     let recording = Recording::small(SceneName::SetsOff, 80, true);
-    let [without, with] = [config(), with_patch_motion()].map(|config| {
+    let [without, with] = [depth_alone(), with_patch_motion()].map(|config| {
         let run = run(&recording, config, Par::Threads(2));
         [0..45, 45..80].map(|frames| figures(&recording, &run, frames).keypoints)
     });
@@ -577,7 +584,7 @@ fn extensive_hard_scenes_at_full_size() {
     });
     let base = base.expect("valid scene");
     type Make = fn() -> Config;
-    let depth: (&str, Make) = ("depth alone", config);
+    let depth: (&str, Make) = ("depth alone", depth_alone);
     let older: (&str, Make) = ("older images, too", with_patch_motion);
     #[rustfmt::skip]
     let reached = [

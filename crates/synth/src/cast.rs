@@ -55,7 +55,10 @@ fn from(start_s: f64) -> Schedule {
 
 /// The furniture of a scene.
 pub(crate) fn furnishing(name: SceneName) -> Furnishing {
-    Furnishing {
+    if name == SceneName::Hall {
+        return Furnishing::Hall;
+    }
+    Furnishing::Room {
         plain_walls: matches!(
             name,
             SceneName::Crowd | SceneName::Throng | SceneName::Huddle
@@ -175,6 +178,11 @@ pub(crate) fn actors(name: SceneName, seed: u64) -> Vec<Actor> {
             let course = Course::ellipse([1.10, 0.30], [0.70, 0.22], ACROSS_RAD, 1.1, 2.4);
             cast.person(2, Arms::Swing, course.with_schedule(from(2.2)));
         }
+        SceneName::Hall => cast.person(
+            0,
+            Arms::Swing,
+            Course::ellipse([3.4, -1.9], [2.6, 1.7], 0.0, -0.42, 0.0),
+        ),
         SceneName::Throng => {
             for (who, away_m, aside_m, sweep_m, rate, phase) in THRONG {
                 let (sin, cos) = libm::sincos(ACROSS_RAD);

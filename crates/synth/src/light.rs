@@ -12,6 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::config::SceneName;
 use crate::material::Material;
 use crate::pattern::{Rgb, lerp};
+use crate::room::Furnishing;
 use crate::shape::{FACE_AXES, Shape, Surface, face_normal, length};
 use crate::solid::{Solid, rotation_along};
 
@@ -20,10 +21,13 @@ const AMBIENT: Rgb = [0.44, 0.45, 0.48];
 const CORNER_M: f64 = 0.9;
 /// Distance between the nodes of a grid, metres.
 const NODE_M: f64 = 0.11;
+/// Most nodes along one side of a face; a wall of 5 m has 47.
+const MAX_NODES: usize = 100;
 const DIRECTIONS: usize = 20;
 
-struct Lamp {
-    at: [f64; 3],
+#[derive(Debug)]
+pub(crate) struct Lamp {
+    pub(crate) at: [f64; 3],
     /// Direction of the strongest light; `None` for uniform light.
     faces: Option<[f64; 3]>,
     power: f64,
@@ -50,6 +54,34 @@ const fn window_point(x: f64, z: f64) -> Lamp {
         faces: Some([0.0, 1.0, -0.1]),
         power: 0.36,
         colour: DAYLIGHT,
+    }
+}
+
+/// Spotlights below the ceiling of the hall.
+pub(crate) const HALL_LAMPS: [Lamp; 8] = [
+    spotlight(-11.0, -4.5),
+    spotlight(-4.0, -4.5),
+    spotlight(4.0, -4.5),
+    spotlight(11.0, -4.5),
+    spotlight(-11.0, 4.5),
+    spotlight(-4.0, 4.5),
+    spotlight(4.0, 4.5),
+    spotlight(11.0, 4.5),
+];
+
+const fn spotlight(x: f64, y: f64) -> Lamp {
+    Lamp {
+        at: [x, y, 7.4],
+        faces: Some([0.0, 0.0, -1.0]),
+        power: 5.0,
+        colour: [1.02, 0.99, 0.92],
+    }
+}
+
+fn lamps(furnishing: Furnishing) -> &'static [Lamp] {
+    match furnishing {
+        Furnishing::Room { .. } => &LAMPS,
+        Furnishing::Hall => &HALL_LAMPS,
     }
 }
 
@@ -87,6 +119,7 @@ pub(crate) fn brightness(name: SceneName, t_s: f64) -> f32 {
 #[derive(Debug, Clone)]
 pub(crate) struct Lighting {
     solids: Vec<Baked>,
+    lamps: &'static [Lamp],
 }
 
 #[derive(Debug, Clone)]
@@ -107,28 +140,34 @@ struct Grid {
 
 impl Lighting {
     /// Computes the light; the result is the same for every `par`.
-    pub(crate) fn bake(solids: &[Solid], par: Par) -> Self {
-        let obstacles: Vec<Obstacle> = solids.iter().skip(1).filter_map(Obstacle::new).collect();
+    pub(crate) fn bake(solids: &[Solid], furnishing: Furnishing, par: Par) -> Self {
+        let site = Site {
+            half: furnishing.half().into(),
+            lamps: lamps(furnishing),
+            obstacles: solids.iter().skip(1).filter_map(Obstacle::new).collect(),
+        };
         let bake = |i: usize| -> Baked {
             let solid = &solids[i];
             match solid.shape {
-                Shape::Room { half } => faces(solid, &half, -1.0, &obstacles),
-                Shape::Block { half } => faces(solid, &half, 1.0, &obstacles),
+                Shape::Room { half } => faces(solid, &half, -1.0, &site),
+                Shape::Block { half } => faces(solid, &half, 1.0, &site),
                 _ => {
                     let centre = solid.world_from_solid.translation;
-                    let near: Vec<&Obstacle> = obstacles
+                    let near: Vec<&Obstacle> = site
+                        .obstacles
                         .iter()
                         .filter(|o| o.is_near(&centre))
                         .filter(|o| !o.contains(&centre))
                         .collect();
                     #[allow(clippy::cast_possible_truncation, reason = "light is f32")]
-                    let free = open_sky(&centre, &Vector3::z(), &near) as f32;
+                    let free = open_sky(&centre, &Vector3::z(), &site.half, &near) as f32;
                     Baked::Round(free)
                 }
             }
         };
         Self {
             solids: par.map(solids.len(), bake),
+            lamps: site.lamps,
         }
     }
 
@@ -144,25 +183,31 @@ impl Lighting {
             Some(Baked::Faces(grids)) => grids[s.face].at(s.uv),
             Some(Baked::Round(open)) => {
                 let (p, n) = placed();
-                lit(&p, &n, *open, |_| true)
+                lit(&p, &n, *open, self.lamps, |_| true)
             }
             None => {
                 let (p, n) = placed();
                 // more occlusion near the floor
                 #[allow(clippy::cast_possible_truncation, reason = "light is f32")]
                 let open = (0.55 + 0.35 * p.z).min(0.92) as f32;
-                lit(&p, &n, open, |_| true)
+                lit(&p, &n, open, self.lamps, |_| true)
             }
         }
     }
 }
 
-fn lit(p: &Vector3<f64>, n: &Vector3<f64>, open: f32, sees: impl Fn(&Lamp) -> bool) -> Rgb {
+fn lit(
+    p: &Vector3<f64>,
+    n: &Vector3<f64>,
+    open: f32,
+    lamps: &[Lamp],
+    sees: impl Fn(&Lamp) -> bool,
+) -> Rgb {
     // the ceiling reflects more than the floor
     #[allow(clippy::cast_possible_truncation, reason = "light is f32")]
     let above = (0.88 + 0.12 * n.z) as f32;
     let mut e = AMBIENT.map(|a| a * open * above);
-    for lamp in &LAMPS {
+    for lamp in lamps {
         let direct = lamp.unshadowed(p, n);
         if direct > 1e-4 && sees(lamp) {
             for c in 0..3 {
@@ -175,21 +220,22 @@ fn lit(p: &Vector3<f64>, n: &Vector3<f64>, open: f32, sees: impl Fn(&Lamp) -> bo
     e
 }
 
-fn faces(solid: &Solid, half: &Vector3<f64>, outward: f64, obstacles: &[Obstacle]) -> Baked {
+fn faces(solid: &Solid, half: &Vector3<f64>, outward: f64, site: &Site) -> Baked {
     let grid = |face: usize| {
         let axis = face / 2;
         let (a, b) = FACE_AXES[axis];
         #[allow(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
-            reason = "a wall of 5 m has 47 nodes"
+            reason = "at most MAX_NODES"
         )]
-        let nodes = [a, b].map(|axis| 2 + (2.0 * half[axis] / NODE_M) as usize);
+        let nodes = [a, b].map(|axis| (2 + (2.0 * half[axis] / NODE_M) as usize).min(MAX_NODES));
         let normal = face_normal(face);
         let n_world = solid.world_from_solid.rotation * (normal * outward);
         let middle = solid.world_from_solid * normal.component_mul(half);
         let reach = libm::hypot(half[a], half[b]);
-        let near: Vec<&Obstacle> = obstacles
+        let near: Vec<&Obstacle> = site
+            .obstacles
             .iter()
             .filter(|o| length(&(o.centre - middle)) < reach + CORNER_M + o.radius)
             .filter(|o| (o.centre - middle).dot(&n_world) > -o.radius)
@@ -204,12 +250,7 @@ fn faces(solid: &Solid, half: &Vector3<f64>, outward: f64, obstacles: &[Obstacle
                 let mut p = normal.component_mul(half) + normal * (outward * 1e-3);
                 p[a] = along(i, nodes[0], half[a]);
                 p[b] = along(j, nodes[1], half[b]);
-                values.push(node(
-                    &(solid.world_from_solid * p),
-                    &n_world,
-                    &near,
-                    obstacles,
-                ));
+                values.push(node(&(solid.world_from_solid * p), &n_world, &near, site));
             }
         }
         #[allow(clippy::cast_possible_truncation, reason = "light is f32")]
@@ -224,25 +265,27 @@ fn faces(solid: &Solid, half: &Vector3<f64>, outward: f64, obstacles: &[Obstacle
 }
 
 /// Irradiance at a point of a static surface.
-fn node(p: &Vector3<f64>, n: &Vector3<f64>, near: &[&Obstacle], all: &[Obstacle]) -> Rgb {
+fn node(p: &Vector3<f64>, n: &Vector3<f64>, near: &[&Obstacle], site: &Site) -> Rgb {
     let near: Vec<&Obstacle> = near.iter().filter(|o| o.is_near(p)).copied().collect();
     if near.iter().any(|o| o.contains(p)) {
         // inside another solid: invisible, but interpolated with its neighbours
         return AMBIENT.map(|a| 0.25 * a);
     }
     #[allow(clippy::cast_possible_truncation, reason = "light is f32")]
-    let open = open_sky(p, n, &near) as f32;
-    lit(p, n, open, |lamp| {
+    let open = open_sky(p, n, &site.half, &near) as f32;
+    lit(p, n, open, site.lamps, |lamp| {
         let to_lamp = Vector3::from(lamp.at) - p;
         let way = length(&to_lamp);
         let d = to_lamp / way;
-        !all.iter()
+        !site
+            .obstacles
+            .iter()
             .any(|o| o.distance(p, &d, way).is_some_and(|t| t < way))
     })
 }
 
 /// Mean over the half space above a point of min(distance / [`CORNER_M`], 1).
-fn open_sky(p: &Vector3<f64>, n: &Vector3<f64>, near: &[&Obstacle]) -> f64 {
+fn open_sky(p: &Vector3<f64>, n: &Vector3<f64>, half: &Vector3<f64>, near: &[&Obstacle]) -> f64 {
     let frame = rotation_along(n, &Vector3::new(0.36, 0.48, 0.8)).matrix();
     let mut sum = 0.0;
     for k in 0..DIRECTIONS {
@@ -251,7 +294,7 @@ fn open_sky(p: &Vector3<f64>, n: &Vector3<f64>, near: &[&Obstacle]) -> f64 {
         let (sin, cos) = libm::sincos(2.399_963 * k as f64);
         let r = r2.sqrt();
         let d = frame * Vector3::new(r * cos, r * sin, (1.0 - r2).sqrt());
-        let mut free = wall_distance(p, &d).min(CORNER_M);
+        let mut free = wall_distance(p, &d, half).min(CORNER_M);
         for o in near {
             if let Some(t) = o.distance(p, &d, free) {
                 free = free.min(t);
@@ -263,10 +306,17 @@ fn open_sky(p: &Vector3<f64>, n: &Vector3<f64>, near: &[&Obstacle]) -> f64 {
     0.35 + 0.65 * sum / DIRECTIONS as f64
 }
 
-fn wall_distance(p: &Vector3<f64>, d: &Vector3<f64>) -> f64 {
-    let half: Vector3<f64> = crate::room::HALF.into();
+fn wall_distance(p: &Vector3<f64>, d: &Vector3<f64>, half: &Vector3<f64>) -> f64 {
     let o = p - Vector3::new(0.0, 0.0, half.z);
-    Shape::Room { half }.intersect(&o, d).unwrap_or(0.0)
+    Shape::Room { half: *half }.intersect(&o, d).unwrap_or(0.0)
+}
+
+/// What the light of a surface depends on.
+struct Site {
+    /// Half the extent of the room, metres.
+    half: Vector3<f64>,
+    lamps: &'static [Lamp],
+    obstacles: Vec<Obstacle>,
 }
 
 /// A static solid that occludes light.
@@ -367,8 +417,8 @@ mod tests {
 
     #[test]
     fn corners_and_the_floor_below_the_desk_are_darker() {
-        let solids = furnished(furnishing(SceneName::Walking), 1);
-        let lighting = Lighting::bake(&solids, Par::Seq);
+        let room = furnishing(SceneName::Walking);
+        let lighting = Lighting::bake(&furnished(room, 1), room, Par::Seq);
         let open = floor_light(&lighting, 1.6, -0.6);
         let below_desk = floor_light(&lighting, 0.2, 1.7);
         let corner = floor_light(&lighting, 2.45, -1.95);
@@ -378,9 +428,10 @@ mod tests {
 
     #[test]
     fn light_does_not_depend_on_threads() {
-        let mut solids = furnished(furnishing(SceneName::Crowd), 2);
+        let room = furnishing(SceneName::Crowd);
+        let mut solids = furnished(room, 2);
         solids.truncate(40);
-        let bits = |par: Par| format!("{:?}", Lighting::bake(&solids, par));
+        let bits = |par: Par| format!("{:?}", Lighting::bake(&solids, room, par));
         assert_eq!(bits(Par::Seq), bits(Par::Threads(3)), "bits");
     }
 }

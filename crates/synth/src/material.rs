@@ -6,6 +6,7 @@
 
 use crate::clothes::Cloth;
 use crate::decor::{self, Picture};
+use crate::hall::Part;
 use crate::pattern::{
     Rgb, band, bands, cell, disc, fade, fbm, grain, hash, lerp, mix, noise, part, print, scale,
     spots, step,
@@ -17,6 +18,8 @@ use crate::shape::Surface;
 pub(crate) enum Material {
     /// Walls, floor and ceiling, by face; `plain` without bricks and wallpaper.
     Walls { plain: bool, seed: u32 },
+    /// Enlarged patterns of the hall.
+    Hall { part: Part, seed: u32 },
     /// Boards along the longer side.
     Wood { tone: Rgb, seed: u32 },
     /// Paint with fine scratches.
@@ -65,6 +68,7 @@ impl Material {
         let [u, v] = s.uv;
         let colour = match *self {
             Self::Walls { plain, seed } => crate::walls::walls(s, plain, fp, seed),
+            Self::Hall { part, seed } => crate::hall::colour(part, s, fp, seed),
             Self::Wood { tone, seed } => wood(s, tone, fp, seed),
             Self::Painted { tone, seed } => painted(u, v, tone, fp, seed.wrapping_add(face(s))),
             Self::Fabric { cloth, seed } => cloth.colour(s, fp, seed),

@@ -11,6 +11,8 @@ use garad_core::{DepthImage, Image, Par, RgbImage, Rng};
 pub const COLOUR_SIGMA: f64 = 1.5;
 /// Depth is measured in this range, metres.
 pub const RANGE_M: [f64; 2] = [0.4, 8.0];
+/// Largest depth measured in [`crate::SceneName::Hall`], exact or with noise, metres.
+pub const HALL_RANGE_M: f64 = 5.0;
 /// Baseline times focal length of a Kinect at 640 columns: 0.075 m x 525 px, rounded.
 pub const BASELINE_FOCAL_M_PX: f64 = 40.0;
 /// Quantisation step of the disparity, pixels.

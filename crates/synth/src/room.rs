@@ -16,20 +16,41 @@ use crate::solid::{Builder, Solid};
 /// Half the extent of the room along x, y, z, metres.
 pub(crate) const HALF: [f64; 3] = [2.5, 2.0, 1.35];
 
-/// Variants of the room.
+/// Variants of the room, or the hall.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Furnishing {
-    /// Walls of one colour.
-    pub(crate) plain_walls: bool,
-    /// A table in the middle, where people walk in other scenes.
-    pub(crate) middle_table: bool,
+pub(crate) enum Furnishing {
+    Room {
+        /// Walls of one colour.
+        plain_walls: bool,
+        /// A table in the middle, where people walk in other scenes.
+        middle_table: bool,
+    },
+    /// See [`crate::hall`].
+    Hall,
+}
+
+impl Furnishing {
+    /// Half the extent along x, y, z, metres.
+    pub(crate) fn half(self) -> [f64; 3] {
+        match self {
+            Self::Room { .. } => HALF,
+            Self::Hall => crate::hall::HALF,
+        }
+    }
 }
 
 /// Every solid of the room. The first one is the room itself.
 pub(crate) fn furnished(furnishing: Furnishing, seed: u32) -> Vec<Solid> {
+    let Furnishing::Room {
+        plain_walls,
+        middle_table,
+    } = furnishing
+    else {
+        return crate::hall::furnished(seed);
+    };
     let mut b = Builder::new(seed);
     let walls = Material::Walls {
-        plain: furnishing.plain_walls,
+        plain: plain_walls,
         seed: b.seed(),
     };
     let middle = Se3::new(So3::identity(), Vector3::new(0.0, 0.0, HALF[2]));
@@ -39,7 +60,7 @@ pub(crate) fn furnished(furnishing: Furnishing, seed: u32) -> Vec<Solid> {
     bookcase_wall(&mut b);
     sofa_wall(&mut b);
     window_wall(&mut b);
-    floor(&mut b, furnishing.middle_table);
+    floor(&mut b, middle_table);
     b.solids
 }
 
@@ -246,19 +267,22 @@ mod tests {
 
     #[test]
     fn everything_is_inside_the_room() {
-        let furnishing = Furnishing {
+        let room = Furnishing::Room {
             plain_walls: false,
             middle_table: true,
         };
-        let solids = furnished(furnishing, 3);
-        assert!(solids.len() > 200, "{} solids", solids.len());
-        for solid in &solids[1..] {
-            let [low, high] = solid.shape.bounds();
-            let p = solid.world_from_solid * (0.5 * (low + high));
-            assert!(
-                p.x.abs() < HALF[0] && p.y.abs() < HALF[1] && p.z > 0.0 && p.z < 2.7,
-                "{solid:?}"
-            );
+        for (furnishing, least) in [(room, 200), (Furnishing::Hall, 70)] {
+            let [x, y, z] = furnishing.half();
+            let solids = furnished(furnishing, 3);
+            assert!(solids.len() > least, "{} solids", solids.len());
+            for solid in &solids[1..] {
+                let [low, high] = solid.shape.bounds();
+                let p = solid.world_from_solid * (0.5 * (low + high));
+                assert!(
+                    p.x.abs() < x && p.y.abs() < y && p.z > 0.0 && p.z < 2.0 * z,
+                    "{solid:?}"
+                );
+            }
         }
     }
 }

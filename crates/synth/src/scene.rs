@@ -26,7 +26,8 @@ pub struct SynthFrame {
     pub t_s: f64,
     /// Colour.
     pub rgb: RgbImage,
-    /// Depth along the optical axis, metres: exact to an f32, or as measured; 0 where missing.
+    /// Depth along the optical axis, metres: exact to an f32, or as measured; 0 where missing. In
+    /// [`SceneName::Hall`] it is missing beyond [`noise::HALL_RANGE_M`].
     pub depth: DepthImage,
     /// 255 on objects that move or have moved within the last [`MASK_MEMORY_FRAMES`] frames, else 0.
     pub mask: MaskImage,
@@ -178,7 +179,7 @@ impl Scene {
     pub fn frame(&self, index: usize, par: Par) -> SynthFrame {
         let lighting = self
             .lighting
-            .get_or_init(|| Lighting::bake(&self.room, par));
+            .get_or_init(|| Lighting::bake(&self.room, furnishing(self.config.name), par));
         let exact = render(
             &self.view(index),
             lighting,
@@ -241,12 +242,21 @@ impl Scene {
     }
 
     fn sensed(&self, exact: Rendered, index: usize, par: Par) -> (RgbImage, DepthImage, Image<u8>) {
-        if !self.config.noise {
-            return (exact.rgb, exact.depth, exact.object);
+        let (mut rgb, mut depth) = (exact.rgb, exact.depth);
+        if self.config.noise {
+            let key = (self.config.seed, index as u64);
+            rgb = noise::measured_rgb(&rgb, key, par);
+            depth = noise::measured_depth(&depth, &exact.incidence, key, par);
         }
-        let key = (self.config.seed, index as u64);
-        let rgb = noise::measured_rgb(&exact.rgb, key, par);
-        let depth = noise::measured_depth(&exact.depth, &exact.incidence, key, par);
+        if self.config.name == SceneName::Hall {
+            depth = depth.map(|&z| {
+                if f64::from(z) > noise::HALL_RANGE_M {
+                    0.0
+                } else {
+                    z
+                }
+            });
+        }
         (rgb, depth, exact.object)
     }
 

@@ -10,19 +10,27 @@ use crate::shape::Surface;
 pub(crate) fn walls(s: &Surface, plain: bool, fp: f32, seed: u32) -> Rgb {
     let [u, v] = s.uv;
     let skirting = s.face < 4 && v < 0.09 - s.half[1];
-    let wall = match s.face {
+    let surface = match s.face {
         4 => return parquet(u, v, fp, seed),
         5 => plaster(u, v, [0.86, 0.85, 0.82], fp, seed ^ 5),
         _ if plain => plaster(u, v, [0.74, 0.74, 0.70], fp, seed ^ 6),
-        0 => wallpaper(u, v, fp, seed),
-        1 => bricks(u, v, fp, seed),
-        2 => plaster(u, v, [0.72, 0.76, 0.70], fp, seed ^ 7),
-        _ => plaster(u, v, [0.80, 0.73, 0.60], fp, seed ^ 8),
+        _ => wall(s, fp, seed),
     };
     if skirting {
         grain(u, v, [0.80, 0.78, 0.74], fp, seed)
     } else {
-        wall
+        surface
+    }
+}
+
+/// Wallpaper, bricks or plaster, by face.
+pub(crate) fn wall(s: &Surface, fp: f32, seed: u32) -> Rgb {
+    let [u, v] = s.uv;
+    match s.face {
+        0 => wallpaper(u, v, fp, seed),
+        1 => bricks(u, v, fp, seed),
+        2 => plaster(u, v, [0.72, 0.76, 0.70], fp, seed ^ 7),
+        _ => plaster(u, v, [0.80, 0.73, 0.60], fp, seed ^ 8),
     }
 }
 

@@ -125,6 +125,7 @@ fn bits_are_those_of_every_other_machine() {
         "lights_out e533a47ee4867120",
         "throng 01aaddf8fb848401",
         "huddle 931e6dc3bb794a94",
+        "hall 24a9132a35ec5e91",
     ];
     assert_eq!(hashes, expected, "bits of frame 11 of each scene");
 }

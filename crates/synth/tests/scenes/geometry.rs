@@ -4,7 +4,7 @@ use garad_core::{Image, Par, Se3};
 use garad_synth::{Scene, SceneConfig, SceneName};
 use nalgebra::Vector2;
 
-use crate::support::{all_scenes, pixels, scene, world_point};
+use crate::support::{all_scenes, corners, pixels, scene, world_point};
 
 /// Value at a place between pixels, from a function of the four around it.
 fn bilinear(uv: &Vector2<f64>, value: impl Fn(usize, usize) -> f64) -> f64 {
@@ -133,8 +133,6 @@ fn flow_to_the_same_frame_is_zero_everywhere() {
     assert!(worst < 1e-4, "{worst} px");
 }
 
-/// Corners in every quarter of the image: pixels whose grey differs by more than 20 from that of at least
-/// five of eight pixels around.
 #[test]
 fn every_quarter_has_corners() {
     let config = SceneConfig {
@@ -146,37 +144,14 @@ fn every_quarter_has_corners() {
     for scene in all_scenes(&config) {
         let name = scene.config().name;
         for i in [0, 75] {
-            let frame = scene.frame(i, Par::Seq);
-            let image = frame.rgb.to_gray();
-            let mut corners = [0usize; 4];
-            for (x, y) in pixels(image.size(), 3) {
-                let c = i32::from(image[(x, y)]);
-                let far = |dx: isize, dy: isize| {
-                    let at = |a: usize, d: isize| a.checked_add_signed(d).expect("inside");
-                    i32::from(image[(at(x, dx), at(y, dy))]) - c
-                };
-                let (l, r, u, d) = (far(-3, 0), far(3, 0), far(0, -3), far(0, 3));
-                let diagonal = [far(-2, -2), far(2, -2), far(-2, 2), far(2, 2)];
-                let ring = [
-                    l,
-                    r,
-                    u,
-                    d,
-                    diagonal[0],
-                    diagonal[1],
-                    diagonal[2],
-                    diagonal[3],
-                ];
-                let brighter = ring.iter().filter(|&&v| v > 20).count();
-                let darker = ring.iter().filter(|&&v| v < -20).count();
-                if brighter.max(darker) >= 5 {
-                    corners[usize::from(x >= 120) + 2 * usize::from(y >= 90)] += 1;
-                }
+            let mut quarters = [0usize; 4];
+            for (x, y) in corners(&scene.frame(i, Par::Seq).rgb.to_gray()) {
+                quarters[usize::from(x >= 120) + 2 * usize::from(y >= 90)] += 1;
             }
-            let least = corners.iter().min().copied().unwrap_or(0);
+            let least = quarters.iter().min().copied().unwrap_or(0);
             assert!(
                 least > 60,
-                "{name} frame {i}: {corners:?} corner pixels in the quarters"
+                "{name} frame {i}: {quarters:?} corner pixels in the quarters"
             );
         }
     }

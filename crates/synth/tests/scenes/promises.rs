@@ -1,9 +1,10 @@
 //! Properties of single scenes.
 
 use garad_core::Par;
-use garad_synth::{SceneName, SynthFrame};
+use garad_synth::noise::HALL_RANGE_M;
+use garad_synth::{Scene, SceneConfig, SceneName, SynthFrame};
 
-use crate::support::scene;
+use crate::support::{corners, scene};
 
 #[test]
 fn a_tripod_stands_and_people_walk() {
@@ -116,4 +117,43 @@ fn crowd_covers_much_and_never_all() {
         assert!(least > 0.25, "{name}: at least {least}");
         assert!((0.5..0.75).contains(&most), "{name}: at most {most}");
     }
+}
+
+/// Few corners of the room have depth, exact or measured, which ends at [`HALL_RANGE_M`]; the person comes from beyond
+/// it and leaves the image.
+#[test]
+fn most_corners_of_the_hall_have_no_depth() {
+    let exact = scene(SceneName::Hall, 640);
+    let noisy = Scene::new(&SceneConfig {
+        noise: true,
+        ..exact.config().clone()
+    })
+    .expect("a good configuration");
+    for scene in [&exact.static_twin(), &noisy.static_twin()] {
+        for i in [0, 75, 149] {
+            let frame = scene.frame(i, Par::Threads(2));
+            let depths = || frame.depth.data().iter().map(|&z| f64::from(z));
+            let farthest = depths().fold(0.0, f64::max);
+            assert!((4.7..=HALL_RANGE_M).contains(&farthest), "{farthest} m");
+            let found = corners(&frame.rgb.to_gray());
+            let near = found.iter().filter(|&&at| frame.depth[at] > 0.0).count();
+            let share = near as f64 / found.len() as f64;
+            assert!(found.len() > 600, "frame {i}: {} corners", found.len());
+            assert!((0.03..0.2).contains(&share), "frame {i}: {share} near");
+        }
+    }
+    let person = |i: usize| {
+        let frame = exact.frame(i, Par::Threads(2));
+        let of_person = frame.mask.data().iter().zip(frame.depth.data());
+        let depths: Vec<f32> = of_person
+            .filter(|(m, _)| **m > 0)
+            .map(|(_, z)| *z)
+            .collect();
+        let measured = depths.iter().filter(|z| **z > 0.0).count();
+        (depths.len(), measured)
+    };
+    let (far, near) = (person(40), person(100));
+    assert!(far.0 > 300 && far.1 == 0, "beyond the range: {far:?}");
+    assert!(near.0 > 2000 && near.1 == near.0, "within it: {near:?}");
+    assert_eq!(person(149).0, 0, "has left the image");
 }
