@@ -40,6 +40,7 @@ fn tracked_frame(c: &mut Criterion) {
                     let frame = &frames[forth_and_back[next % forth_and_back.len()]];
                     let input = FrameInput {
                         t_s: next as f64 / 30.0,
+                        depth_t_s: next as f64 / 30.0,
                         rgb: &frame.rgb,
                         depth: &frame.depth,
                         mask: None,

@@ -18,6 +18,7 @@
 
 use garad_core::{DepthImage, FrameId, KeyframeId, Real, Se3};
 use garad_features::{LkConfig, LkPyramid, LkTrack, lk};
+use nalgebra::Vector2;
 
 use super::bootstrap::FutureView;
 use super::evidence::DepthEvidence;
@@ -239,9 +240,9 @@ fn displacements(
     // explained less than σ beside their prediction; the others are searched for from the coarsest level down.
     let mut found = track(&tasks, &one_step);
     let rests = |(task, step): (&Task, &LkTrack)| {
-        let [dx, dy] = [0, 1].map(|k| f64::from(step.xy[k] - task.2[k]));
+        let off_px = Vector2::from([0, 1].map(|k| f64::from(step.xy[k] - task.2[k])));
         let explained = !explains_less(f64::from(step.residual), *least);
-        step.is_tracked() && explained && dx.hypot(dy) < config.sigma_px
+        step.is_tracked() && explained && off_px.norm() < config.sigma_px
     };
     let farther: Vec<usize> = (0..tasks.len())
         .filter(|&k| !rests((&tasks[k], &found[k])))
@@ -290,7 +291,7 @@ mod tests {
     use std::sync::Arc;
 
     use garad_core::GrayImage;
-    use nalgebra::{Vector2, Vector3};
+    use nalgebra::Vector3;
 
     use super::*;
     use crate::config::Config;

@@ -1,7 +1,7 @@
 //! A keypoint as an observation of a point: its position, and its depth as a third residual.
 
 use garad_optim::{DepthObservation, PoseObservation};
-use nalgebra::{Matrix2, Vector3};
+use nalgebra::{Matrix2, Vector2, Vector3};
 
 use crate::config::{DepthResidual, TrackingConfig};
 use crate::context::Context;
@@ -28,7 +28,7 @@ pub(crate) fn link_observation(
     let j = context.camera.project_jacobian(&p_cam) * pose.rotation.matrix();
     let image: Matrix2<f64> = j * covariance * j.transpose();
     let (mean, half) = (0.5 * image.trace(), 0.5 * (image[(0, 0)] - image[(1, 1)]));
-    let largest = mean + (half * half + image[(0, 1)] * image[(0, 1)]).sqrt();
+    let largest = mean + Vector2::new(half, image[(0, 1)]).norm();
     PoseObservation {
         sigma_px: (seen.sigma_px * seen.sigma_px + largest).sqrt(),
         ..seen
