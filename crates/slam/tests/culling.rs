@@ -1,10 +1,14 @@
 //! A camera that stays where it is learns nothing new: keyframes come and go, and the path does not mind.
 //! One that goes round a room a second time finds its Gaussians there.
 
+mod common;
+
 use garad_core::Par;
 use garad_eval::{AteOptions, ate};
-use garad_slam::{Config, FrameInput, Silent, Slam};
+use garad_slam::{Config, Slam};
 use garad_synth::{Scene, SceneConfig, SceneName, SynthFrame};
+
+use common::process;
 
 const FRAMES: usize = 240;
 
@@ -16,14 +20,7 @@ fn run(scene: &Scene, frames: &[SynthFrame], enabled: bool, par: Par) -> Slam {
     config.culling.enabled = enabled;
     let mut slam = Slam::new(scene.camera(), config, 0, par).expect("valid");
     for frame in frames {
-        let input = FrameInput {
-            t_s: frame.t_s,
-            depth_t_s: frame.t_s,
-            rgb: &frame.rgb,
-            depth: &frame.depth,
-            mask: None,
-        };
-        slam.process(&input, &mut Silent).expect("a good frame");
+        process(&mut slam, frame, None);
     }
     slam
 }
@@ -117,14 +114,7 @@ fn a_second_lap_adds_few_gaussians() {
     let mut slam = Slam::new(scene.camera(), config, 0, Par::Threads(2)).expect("valid");
     for i in 0..scene.len() {
         let frame = scene.frame(i, Par::Threads(2));
-        let input = FrameInput {
-            t_s: frame.t_s,
-            depth_t_s: frame.t_s,
-            rgb: &frame.rgb,
-            depth: &frame.depth,
-            mask: None,
-        };
-        slam.process(&input, &mut Silent).expect("a good frame");
+        process(&mut slam, &frame, None);
     }
     slam.finish().expect("alive");
     assert_eq!(slam.trajectory().len(), 2 * LAP, "every frame is tracked");

@@ -6,14 +6,18 @@
 //!
 //! Judged are the frames that were labelled, from the end of the bootstrap (frame 10) on.
 
+mod common;
+
 use std::ops::Range;
 use std::sync::OnceLock;
 
 use garad_core::{Label, MaskImage, Par, StampedPose};
 use garad_eval::{AteOptions, Confusion, ate};
 use garad_slam::config::TaggedLabels;
-use garad_slam::{Config, FrameInput, FrameReport, LabelledFrame, Silent, Slam, TrackingState};
+use garad_slam::{Config, FrameReport, LabelledFrame, Slam, TrackingState};
 use garad_synth::{Scene, SceneConfig, SceneName, SynthFrame};
+
+use common::process;
 
 const BOOTSTRAP: usize = 10;
 
@@ -108,14 +112,7 @@ fn run(recording: &Recording, config: Config, par: Par) -> Run {
     let mut slam = Slam::new(recording.scene.camera(), config, 0, par).expect("valid");
     let (mut reports, mut labels) = (Vec::new(), Vec::new());
     for frame in &recording.frames {
-        let input = FrameInput {
-            t_s: frame.t_s,
-            depth_t_s: frame.t_s,
-            rgb: &frame.rgb,
-            depth: &frame.depth,
-            mask: None,
-        };
-        reports.push(slam.process(&input, &mut Silent).expect("a good frame"));
+        reports.push(process(&mut slam, frame, None));
         labels.push(slam.labelled_frame().cloned());
         for sight in slam.take_replayed() {
             let k = sight.report.id.index();
@@ -414,14 +411,7 @@ fn a_landmark_and_its_gaussian_never_differ() {
         let camera = walking().scene.camera();
         let mut slam = Slam::new(camera, config, 0, Par::Seq).expect("valid");
         for frame in &walking().frames {
-            let input = FrameInput {
-                t_s: frame.t_s,
-                depth_t_s: frame.t_s,
-                rgb: &frame.rgb,
-                depth: &frame.depth,
-                mask: None,
-            };
-            slam.process(&input, &mut Silent).expect("a good frame");
+            process(&mut slam, frame, None);
         }
         slam.finish().expect("mapped");
         let gaussians = slam.gaussians().expect("at rest");
@@ -495,14 +485,7 @@ fn a_given_mask_is_all_that_moves() {
     let recording = walking();
     let mut slam = Slam::new(recording.scene.camera(), config(), 0, Par::Seq).expect("valid");
     for frame in &recording.frames[..15] {
-        let input = FrameInput {
-            t_s: frame.t_s,
-            depth_t_s: frame.t_s,
-            rgb: &frame.rgb,
-            depth: &frame.depth,
-            mask: Some(&frame.mask),
-        };
-        let report = slam.process(&input, &mut Silent).expect("a good frame");
+        let report = process(&mut slam, frame, Some(&frame.mask));
         assert_eq!(slam.labelled_frame(), None, "not labelled");
         assert!(report.dynamic_keypoints > 50, "of the mask: {report:?}");
     }
@@ -523,14 +506,7 @@ fn more_keypoints_are_detected_where_people_take_some() {
         let mut slam = Slam::new(recording.scene.camera(), config, 0, Par::Seq).expect("valid");
         let mask = MaskImage::from_fn(width, height, |x, _| if x < covered { 255 } else { 0 });
         [(); 2].map(|()| {
-            let input = FrameInput {
-                t_s: frame.t_s,
-                depth_t_s: frame.t_s,
-                rgb: &frame.rgb,
-                depth: &frame.depth,
-                mask: Some(&mask),
-            };
-            slam.process(&input, &mut Silent).expect("a good frame");
+            process(&mut slam, frame, Some(&mask));
             let last = slam.last_frame().expect("tracked");
             [
                 last.len(),

@@ -1,9 +1,13 @@
 //! Laps around a room whose ends must meet. Takes some minutes: runs with `GARAD_EXTENSIVE=1`.
 
+mod common;
+
 use garad_core::Par;
 use garad_eval::{AteOptions, ate};
-use garad_slam::{Config, FrameInput, Silent, Slam};
+use garad_slam::{Config, Slam};
 use garad_synth::{Scene, SceneConfig, SceneName};
+
+use common::process;
 
 /// Without mapping and with few features, so that the path drifts.
 fn few_features(enabled: bool) -> Config {
@@ -23,14 +27,7 @@ fn run_with(scene: &Scene, config: Config, step: usize, par: Par) -> Slam {
     let mut slam = Slam::new(scene.camera(), config, 0, par).expect("valid");
     for i in (0..scene.len()).step_by(step) {
         let frame = scene.frame(i, Par::Threads(2));
-        let input = FrameInput {
-            t_s: frame.t_s,
-            depth_t_s: frame.t_s,
-            rgb: &frame.rgb,
-            depth: &frame.depth,
-            mask: None,
-        };
-        slam.process(&input, &mut Silent).expect("a good frame");
+        process(&mut slam, &frame, None);
     }
     slam
 }

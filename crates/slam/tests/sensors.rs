@@ -1,9 +1,13 @@
 //! Sensors that do not fit the room or the motion: depth that ends before the walls, frames that come rarely.
 
+mod common;
+
 use garad_core::Par;
 use garad_eval::{AteOptions, ate};
-use garad_slam::{Config, FrameInput, Silent, Slam, TrackingState};
+use garad_slam::{Config, Slam, TrackingState};
 use garad_synth::{Scene, SceneConfig, SceneName};
+
+use common::process;
 
 /// Tracked frames and ATE in metres of every `step`th frame.
 fn run(scene: &Scene, step: usize, change: impl FnOnce(&mut Config)) -> (usize, f64) {
@@ -14,14 +18,7 @@ fn run(scene: &Scene, step: usize, change: impl FnOnce(&mut Config)) -> (usize, 
     let mut tracked = 0;
     for i in (0..scene.len()).step_by(step) {
         let frame = scene.frame(i, Par::Threads(2));
-        let input = FrameInput {
-            t_s: frame.t_s,
-            depth_t_s: frame.t_s,
-            rgb: &frame.rgb,
-            depth: &frame.depth,
-            mask: None,
-        };
-        let report = slam.process(&input, &mut Silent).expect("a good frame");
+        let report = process(&mut slam, &frame, None);
         tracked += usize::from(report.state == TrackingState::Tracking);
     }
     let error = ate(

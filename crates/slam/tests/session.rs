@@ -3,6 +3,8 @@
 //! One small scene with a person in it, with mapping and all labels on; the camera is in the dark for a
 //! few frames, so that a session can be saved while it is lost.
 
+mod common;
+
 use std::sync::OnceLock;
 
 use garad_core::{DepthImage, GaussianMap, Par, RgbImage, StampedPose};
@@ -10,8 +12,10 @@ use garad_eval::{AteOptions, ate};
 use garad_slam::LabelledFrame;
 use garad_slam::map::Map;
 use garad_slam::session::SectionReader;
-use garad_slam::{Config, FrameInput, FrameReport, SessionError, Silent, Slam, TrackingState};
+use garad_slam::{Config, FrameReport, SessionError, Slam, TrackingState};
 use garad_synth::{Scene, SceneConfig, SceneName, SynthFrame};
+
+use common::process;
 
 const FRAMES: usize = 28;
 const DARK: std::ops::Range<usize> = 19..22;
@@ -81,14 +85,7 @@ struct Outputs {
 impl Outputs {
     fn go_on(&mut self, slam: &mut Slam, until: usize) {
         for frame in &recording().frames[self.reports.len()..until] {
-            let input = FrameInput {
-                t_s: frame.t_s,
-                depth_t_s: frame.t_s,
-                rgb: &frame.rgb,
-                depth: &frame.depth,
-                mask: None,
-            };
-            let report = slam.process(&input, &mut Silent).expect("a good frame");
+            let report = process(slam, frame, None);
             self.reports.push(report);
             self.labels.push(slam.labelled_frame().cloned());
         }
@@ -257,14 +254,7 @@ fn a_finished_map_is_tracked_in_and_stays_as_it_is() {
     let mut tracked = 0;
     // Another time, the other way round, and a person who has gone on walking.
     for (i, frame) in recording.frames.iter().rev().enumerate() {
-        let input = FrameInput {
-            t_s: frame.t_s,
-            depth_t_s: frame.t_s,
-            rgb: &frame.rgb,
-            depth: &frame.depth,
-            mask: None,
-        };
-        let report = slam.process(&input, &mut Silent).expect("a good frame");
+        let report = process(&mut slam, frame, None);
         assert_eq!(
             (report.id.index(), report.keyframe),
             (i, None),
@@ -302,14 +292,7 @@ fn a_place_outside_the_map_is_not_found() {
     let before = maps(&mut slam);
     slam.localise_only().expect("alive");
     for frame in &recording().frames[DARK] {
-        let input = FrameInput {
-            t_s: frame.t_s,
-            depth_t_s: frame.t_s,
-            rgb: &frame.rgb,
-            depth: &frame.depth,
-            mask: None,
-        };
-        let report = slam.process(&input, &mut Silent).expect("a good frame");
+        let report = process(&mut slam, frame, None);
         assert_eq!(report.state, TrackingState::Lost, "nothing to see");
     }
     assert!(
@@ -323,14 +306,7 @@ fn an_empty_map_keeps_the_camera_lost() {
     let mut slam = start(Par::Seq);
     slam.localise_only().expect("alive");
     let frame = &recording().frames[0];
-    let input = FrameInput {
-        t_s: frame.t_s,
-        depth_t_s: frame.t_s,
-        rgb: &frame.rgb,
-        depth: &frame.depth,
-        mask: None,
-    };
-    let report = slam.process(&input, &mut Silent).expect("a good frame");
+    let report = process(&mut slam, frame, None);
     assert_eq!(report.state, TrackingState::Lost, "no place to find");
     assert!(slam.map().keyframes().is_empty(), "and none is made");
 }

@@ -3,10 +3,14 @@
 //! Small images and few frames, so that every test takes seconds; the long ones run with
 //! `GARAD_EXTENSIVE=1`.
 
+mod common;
+
 use garad_core::{DepthImage, Par, RgbImage, StampedPose};
 use garad_eval::{AteOptions, ate};
-use garad_slam::{Config, FrameInput, FrameReport, Silent, Slam, SlamError, TrackingState};
-use garad_synth::{Scene, SceneConfig, SceneName, SynthFrame};
+use garad_slam::{Config, FrameInput, Silent, Slam, SlamError, TrackingState};
+use garad_synth::{Scene, SceneConfig, SceneName};
+
+use common::process;
 
 fn small(name: SceneName, frames: usize) -> SceneConfig {
     SceneConfig {
@@ -25,17 +29,6 @@ fn slam(scene: &Scene, par: Par) -> Slam {
     Slam::new(scene.camera(), config, 0, par).expect("valid")
 }
 
-fn process(slam: &mut Slam, frame: &SynthFrame, with_mask: bool) -> FrameReport {
-    let input = FrameInput {
-        t_s: frame.t_s,
-        depth_t_s: frame.t_s,
-        rgb: &frame.rgb,
-        depth: &frame.depth,
-        mask: with_mask.then_some(&frame.mask),
-    };
-    slam.process(&input, &mut Silent).expect("a good frame")
-}
-
 fn ate_m(scene: &Scene, estimate: &[StampedPose]) -> f64 {
     ate(&scene.trajectory(), estimate, &AteOptions::default())
         .expect("judged")
@@ -46,7 +39,8 @@ fn ate_m(scene: &Scene, estimate: &[StampedPose]) -> f64 {
 fn run(scene: &Scene, with_mask: bool, par: Par) -> Slam {
     let mut slam = slam(scene, par);
     for i in 0..scene.len() {
-        process(&mut slam, &scene.frame(i, Par::Threads(2)), with_mask);
+        let frame = scene.frame(i, Par::Threads(2));
+        process(&mut slam, &frame, with_mask.then_some(&frame.mask));
     }
     slam
 }
@@ -115,7 +109,7 @@ fn a_lost_camera_is_found_again() {
         if (12..18).contains(&i) {
             (frame.rgb, frame.depth) = dark.clone();
         }
-        states.push(process(&mut slam, &frame, false).state);
+        states.push(process(&mut slam, &frame, None).state);
     }
     assert!(
         states[..12].iter().all(|s| *s == TrackingState::Tracking),
@@ -143,14 +137,14 @@ fn it_waits_for_the_first_usable_frame() {
     let mut frame = scene.frame(0, Par::Seq);
     let good = frame.clone();
     frame.depth = DepthImage::new(320, 240, 0.0);
-    let waiting = process(&mut slam, &frame, false);
+    let waiting = process(&mut slam, &frame, None);
     assert_eq!(
         waiting.state,
         TrackingState::NotInitialised,
         "no depth, no world"
     );
     assert_eq!(
-        process(&mut slam, &good, false).state,
+        process(&mut slam, &good, None).state,
         TrackingState::Tracking,
         "starts"
     );
@@ -162,7 +156,7 @@ fn an_image_of_another_size_is_refused_and_the_run_goes_on() {
     let scene = Scene::new(&small(SceneName::QuietDesk, 3)).expect("valid scene");
     let mut slam = slam(&scene, Par::Seq);
     let mut frame = scene.frame(0, Par::Seq);
-    process(&mut slam, &frame, false);
+    process(&mut slam, &frame, None);
     frame.depth = DepthImage::new(160, 120, 1.0);
     let input = FrameInput {
         t_s: 1.0,
@@ -178,7 +172,7 @@ fn an_image_of_another_size_is_refused_and_the_run_goes_on() {
         matches!(error, SlamError::SizeMismatch { what: "depth", .. }),
         "{error}"
     );
-    let next = process(&mut slam, &scene.frame(2, Par::Seq), false);
+    let next = process(&mut slam, &scene.frame(2, Par::Seq), None);
     assert_eq!(next.state, TrackingState::Tracking, "{next:?}");
 }
 
@@ -202,7 +196,7 @@ fn true_labels_keep_people_out_of_the_pose() {
     (config.insertion.enabled, config.labels.enabled) = (false, false);
     let mut blind = Slam::new(scene.camera(), config, 0, Par::Seq).expect("valid");
     for i in 0..scene.len() {
-        process(&mut blind, &scene.frame(i, Par::Threads(2)), false);
+        process(&mut blind, &scene.frame(i, Par::Threads(2)), None);
     }
     let without = ate_m(&scene, &blind.trajectory());
     assert!(with < 0.004, "ATE with labels {with} m"); // 0.0021

@@ -1,9 +1,13 @@
 //! Training on a small scene, in a few iterations.
 
+mod common;
+
 use garad_core::{Par, StampedPose};
 use garad_raster::{RenderOptions, render};
-use garad_slam::{Config, FrameInput, Silent, Slam};
+use garad_slam::{Config, Slam};
 use garad_synth::{Scene, SceneConfig, SceneName};
+
+use common::process;
 
 const SIZE: (usize, usize) = (160, 120);
 
@@ -34,14 +38,7 @@ fn run(scene: &Scene, config: Config, par: Par) -> (Slam, Vec<f32>) {
     let mut slam = Slam::new(scene.camera(), config, 0, par).expect("valid");
     for i in 0..scene.len() {
         let frame = scene.frame(i, Par::Seq);
-        let input = FrameInput {
-            t_s: frame.t_s,
-            depth_t_s: frame.t_s,
-            rgb: &frame.rgb,
-            depth: &frame.depth,
-            mask: None,
-        };
-        slam.process(&input, &mut Silent).expect("a good frame");
+        process(&mut slam, &frame, None);
     }
     let mut losses = Vec::new();
     slam.train_final(&mut |step| losses.push(step.loss))

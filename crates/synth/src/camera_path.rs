@@ -156,11 +156,14 @@ fn look_at(from: Vector3<f64>, to: Vector3<f64>) -> Se3 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cast::furnishing;
+    use crate::{hall, room};
 
     /// Distance from the walls, metres; negative outside.
     fn clearance(name: SceneName, p: &Vector3<f64>) -> f64 {
-        let [x, y, z] = furnishing(name).half();
+        let [x, y, z] = match name {
+            SceneName::Hall => hall::HALF,
+            _ => room::HALF,
+        };
         (x - p.x.abs()).min(y - p.y.abs()).min(z - (p.z - z).abs())
     }
 

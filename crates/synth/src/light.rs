@@ -12,7 +12,6 @@ use nalgebra::{Matrix3, Vector3};
 use crate::config::SceneName;
 use crate::material::Material;
 use crate::pattern::{Rgb, lerp};
-use crate::room::Furnishing;
 use crate::shape::{FACE_AXES, Shape, Surface, face_normal, length};
 use crate::solid::{Solid, rotation_along};
 
@@ -78,10 +77,11 @@ const fn spotlight(x: f64, y: f64) -> Lamp {
     }
 }
 
-fn lamps(furnishing: Furnishing) -> &'static [Lamp] {
-    match furnishing {
-        Furnishing::Room { .. } => &LAMPS,
-        Furnishing::Hall => &HALL_LAMPS,
+/// The lamps of a scene.
+pub(crate) fn lamps(name: SceneName) -> &'static [Lamp] {
+    match name {
+        SceneName::Hall => &HALL_LAMPS,
+        _ => &LAMPS,
     }
 }
 
@@ -139,11 +139,14 @@ struct Grid {
 }
 
 impl Lighting {
-    /// Computes the light; the result is the same for every `par`.
-    pub(crate) fn bake(solids: &[Solid], furnishing: Furnishing, par: Par) -> Self {
+    /// Computes the light in the first solid, the room; the result is the same for every `par`.
+    pub(crate) fn bake(solids: &[Solid], lamps: &'static [Lamp], par: Par) -> Self {
+        let Some(Shape::Room { half }) = solids.first().map(|solid| solid.shape) else {
+            panic!("the first solid of a scene is its room");
+        };
         let site = Site {
-            half: furnishing.half().into(),
-            lamps: lamps(furnishing),
+            half,
+            lamps,
             obstacles: solids.iter().skip(1).filter_map(Obstacle::new).collect(),
         };
         let bake = |i: usize| -> Baked {
@@ -418,7 +421,7 @@ mod tests {
     #[test]
     fn corners_and_the_floor_below_the_desk_are_darker() {
         let room = furnishing(SceneName::Walking);
-        let lighting = Lighting::bake(&furnished(room, 1), room, Par::Seq);
+        let lighting = Lighting::bake(&furnished(room, 1), lamps(SceneName::Walking), Par::Seq);
         let open = floor_light(&lighting, 1.6, -0.6);
         let below_desk = floor_light(&lighting, 0.2, 1.7);
         let corner = floor_light(&lighting, 2.45, -1.95);
@@ -431,7 +434,12 @@ mod tests {
         let room = furnishing(SceneName::Crowd);
         let mut solids = furnished(room, 2);
         solids.truncate(40);
-        let bits = |par: Par| format!("{:?}", Lighting::bake(&solids, room, par));
+        let bits = |par: Par| {
+            format!(
+                "{:?}",
+                Lighting::bake(&solids, lamps(SceneName::Crowd), par)
+            )
+        };
         assert_eq!(bits(Par::Seq), bits(Par::Threads(3)), "bits");
     }
 }

@@ -6,7 +6,7 @@
 
 use crate::clothes::Cloth;
 use crate::decor::{self, Picture};
-use crate::hall::Part;
+use crate::hall::patterns::{self, Part};
 use crate::pattern::{
     Rgb, band, bands, cell, disc, fade, fbm, grain, hash, lerp, mix, noise, part, print, scale,
     spots, step,
@@ -68,7 +68,7 @@ impl Material {
         let [u, v] = s.uv;
         let colour = match *self {
             Self::Walls { plain, seed } => crate::walls::walls(s, plain, fp, seed),
-            Self::Hall { part, seed } => crate::hall::colour(part, s, fp, seed),
+            Self::Hall { part, seed } => patterns::colour(part, s, fp, seed),
             Self::Wood { tone, seed } => wood(s, tone, fp, seed),
             Self::Painted { tone, seed } => painted(u, v, tone, fp, seed.wrapping_add(face(s))),
             Self::Fabric { cloth, seed } => cloth.colour(s, fp, seed),

@@ -29,16 +29,6 @@ pub(crate) enum Furnishing {
     Hall,
 }
 
-impl Furnishing {
-    /// Half the extent along x, y, z, metres.
-    pub(crate) fn half(self) -> [f64; 3] {
-        match self {
-            Self::Room { .. } => HALF,
-            Self::Hall => crate::hall::HALF,
-        }
-    }
-}
-
 /// Every solid of the room. The first one is the room itself.
 pub(crate) fn furnished(furnishing: Furnishing, seed: u32) -> Vec<Solid> {
     let Furnishing::Room {
@@ -272,14 +262,16 @@ mod tests {
             middle_table: true,
         };
         for (furnishing, least) in [(room, 200), (Furnishing::Hall, 70)] {
-            let [x, y, z] = furnishing.half();
             let solids = furnished(furnishing, 3);
+            let Shape::Room { half } = solids[0].shape else {
+                panic!("the room comes first");
+            };
             assert!(solids.len() > least, "{} solids", solids.len());
             for solid in &solids[1..] {
                 let [low, high] = solid.shape.bounds();
                 let p = solid.world_from_solid * (0.5 * (low + high));
                 assert!(
-                    p.x.abs() < x && p.y.abs() < y && p.z > 0.0 && p.z < 2.0 * z,
+                    p.x.abs() < half.x && p.y.abs() < half.y && p.z > 0.0 && p.z < 2.0 * half.z,
                     "{solid:?}"
                 );
             }

@@ -9,7 +9,7 @@ use crate::camera_path::CameraPath;
 use crate::cast::{actors, furnishing};
 use crate::config::{SceneConfig, SceneName, SynthError};
 use crate::flow;
-use crate::light::{Lighting, brightness};
+use crate::light::{Lighting, brightness, lamps};
 use crate::noise;
 use crate::render::{Rendered, render};
 use crate::room::furnished;
@@ -179,7 +179,7 @@ impl Scene {
     pub fn frame(&self, index: usize, par: Par) -> SynthFrame {
         let lighting = self
             .lighting
-            .get_or_init(|| Lighting::bake(&self.room, furnishing(self.config.name), par));
+            .get_or_init(|| Lighting::bake(&self.room, lamps(self.config.name), par));
         let exact = render(
             &self.view(index),
             lighting,
