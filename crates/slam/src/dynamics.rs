@@ -9,7 +9,7 @@
 //!
 //! The paper labels the tagged Gaussians once per keyframe. A person who walks in has no landmark
 //! yet; so the same field also runs over the samples of every single frame (keypoints and a lattice of
-//! pixels), whose one cue is the depth residual against the free space of earlier keyframes. At a
+//! pixels), whose one cue is the depth residual against the free space of earlier frames. At a
 //! keyframe it runs over the landmarks of the local map with all four cues.
 //!
 //! | file | what | paper |

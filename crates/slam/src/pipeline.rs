@@ -27,7 +27,7 @@ use crate::io::{FrameInput, FrameReport, LabelledFrame, ReplayedFrame, SlamError
 use crate::keyframing::Keyframing;
 use crate::keyframing::culling::cull_keyframes;
 use crate::keyframing::decide::needs_keyframe;
-use crate::keyframing::landmarks::{add_keyframe, landmarks_measured_since};
+use crate::keyframing::landmarks::{add_keyframe, landmarks_first_measured_in};
 use crate::keyframing::local_ba::local_ba;
 use crate::map::Map;
 use crate::mapping::Mapping;
@@ -186,7 +186,7 @@ impl Slam {
     fn depth_at_colour_time<'a>(&self, input: &FrameInput<'a>) -> Cow<'a, DepthImage> {
         let offset_s = input.depth_t_s - input.t_s;
         let moved = self.tracker.expected_motion(input.t_s, offset_s);
-        match moved.filter(|_| self.context.config.features.move_depth) {
+        match moved.filter(|_| self.context.config.features.sync_depth) {
             Some(motion) => Cow::Owned(depth_at_colour_time(
                 input.depth,
                 &self.context.camera,
@@ -394,7 +394,7 @@ impl Slam {
                 labels,
                 poses: map.keyframe_poses(),
                 moved,
-                new_landmarks: landmarks_measured_since(map, id, config.labels.tagged),
+                new_landmarks: landmarks_first_measured_in(map, id, config.labels.tagged),
                 living: map
                     .landmarks()
                     .map(|(l, landmark)| (l, landmark.label()))

@@ -64,7 +64,7 @@ pub struct TwoViewConfig {
     /// Largest Hamming distance of the two descriptors.
     pub match_distance: u32,
     /// Least inverse depth, in its standard deviations.
-    pub min_certainty: f64,
+    pub min_inverse_depth_sigmas: f64,
 }
 
 impl Default for TwoViewConfig {
@@ -74,7 +74,7 @@ impl Default for TwoViewConfig {
             neighbours: 10,
             radius_px: 2.0,
             match_distance: 50,
-            min_certainty: 4.0,
+            min_inverse_depth_sigmas: 4.0,
         }
     }
 }

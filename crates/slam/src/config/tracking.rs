@@ -25,7 +25,7 @@ pub struct FeatureConfig {
     /// the scale, as ORB-SLAM does. See decision 003.
     pub exact_levels: bool,
     /// Bring depth to the time of the colour image, by the camera's motion before (decision 019).
-    pub move_depth: bool,
+    pub sync_depth: bool,
     /// Depth beyond this is not used, metres.
     pub max_depth_m: f64,
     /// A keypoint whose 3x3 depths differ by more than this share of its depth sits on an edge:
@@ -43,7 +43,7 @@ impl Default for FeatureConfig {
             fast_threshold: 20,
             fast_min_threshold: 7,
             exact_levels: true,
-            move_depth: true,
+            sync_depth: true,
             max_depth_m: 8.0,
             edge_ratio: 0.05,
         }

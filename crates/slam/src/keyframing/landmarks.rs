@@ -86,7 +86,7 @@ fn drop_weak_landmarks(
 
 /// What the mapper needs to know of the landmarks that a keyframe is the first to observe with depth. Where a Gaussian always has its
 /// landmark's label ([`TaggedLabels::Landmark`]), one that is dynamic already gets no Gaussian.
-pub(crate) fn landmarks_measured_since(
+pub(crate) fn landmarks_first_measured_in(
     map: &Map,
     id: KeyframeId,
     tagged: TaggedLabels,

@@ -11,7 +11,7 @@
 //! ```
 //!
 //! A pair becomes a landmark if both reprojection errors pass the gate of eq. 11 and its inverse depth is
-//! `min_certainty` standard deviations from 0. The landmark keeps its covariance, which widens the σ of a
+//! `min_inverse_depth_sigmas` standard deviations from 0. The landmark keeps its covariance, which widens the σ of a
 //! keypoint linked to it ([`link_observation`](crate::tracking::observation::link_observation)): seen along the old
 //! rays its depth does not matter, seen from the side it does. Bundle adjustment treats it like any other; once a
 //! keyframe observes it with depth it is one.
@@ -26,9 +26,11 @@ use crate::frame::Frame;
 use crate::map::landmark::LandmarkDepth;
 use crate::map::{Map, by_count};
 
-/// Nearest depth on a keypoint's ray, metres. Depth cameras measure what is nearer than a few of it, but for
-/// holes.
+/// Nearest depth on a keypoint's ray, metres. What is nearer has depth, but for holes.
 const NEAREST_M: f64 = 1.0;
+
+/// Longest image of a ray that is searched along: on a longer one too many keypoints look alike.
+const MAX_SEGMENT_PX: f64 = 128.0;
 
 /// Makes landmarks of the keyframe's keypoints that have neither landmark nor depth, from pairs with its
 /// neighbours.
@@ -130,43 +132,23 @@ fn search_along_ray(
     let (far, near) = (camera.project(&far)?, camera.project(&near)?);
     let level = i32::from(first.keypoints[i].level);
     let radius_px = config.radius_px * context.scales[usize::from(first.keypoints[i].level)];
-    let steps = (near - far).norm() / radius_px;
-    if !steps.is_finite() || steps > MAX_STEPS {
+    if (near - far).norm() > MAX_SEGMENT_PX {
         return None;
     }
-    let mut best: Option<(u32, usize)> = None;
-    let mut second_best: Option<u32> = None;
-    let mut k = 0.0;
-    while k <= steps.ceil() {
-        let at = far + (near - far) * (k / steps.ceil().max(1.0));
-        for j in second.near(&at, radius_px, level - 1, level + 1) {
-            if taken[j] || !is_free(second, j) || best.is_some_and(|(_, b)| b == j) {
-                continue;
-            }
-            if distance_to_segment(&second.uv_px[j], &far, &near) > radius_px {
-                continue;
-            }
-            let distance = first.descriptors[i].distance(&second.descriptors[j]);
-            match best {
-                Some((least, _)) if distance >= least => {
-                    second_best = Some(second_best.map_or(distance, |s| s.min(distance)));
-                }
-                _ => {
-                    second_best = best.map(|(least, _)| least).or(second_best);
-                    best = Some((distance, j));
-                }
-            }
-        }
-        k += 1.0;
-    }
-    let (distance, j) = best?;
+    let reach_px = 0.5 * (near - far).amax() + radius_px;
+    let around = second.near(&(0.5 * (near + far)), reach_px, level - 1, level + 1);
+    let mut candidates: Vec<(u32, usize)> = around
+        .filter(|&j| !taken[j] && is_free(second, j))
+        .filter(|&j| distance_to_segment(&second.uv_px[j], &far, &near) <= radius_px)
+        .map(|j| (first.descriptors[i].distance(&second.descriptors[j]), j))
+        .collect();
+    candidates.sort_unstable();
+    let (distance, j) = *candidates.first()?;
     let ratio = context.config.tracking.local_ratio;
-    let ambiguous = second_best.is_some_and(|s| f64::from(distance) > ratio * f64::from(s));
+    let runner_up = candidates.get(1);
+    let ambiguous = runner_up.is_some_and(|(d, _)| f64::from(distance) > ratio * f64::from(*d));
     (distance <= config.match_distance && !ambiguous).then_some(j)
 }
-
-/// Longest image of a ray that is searched along, in radii: beyond, the search is not for one point.
-const MAX_STEPS: f64 = 64.0;
 
 fn distance_to_segment(p: &Vector2<f64>, a: &Vector2<f64>, b: &Vector2<f64>) -> f64 {
     let along = b - a;
@@ -187,7 +169,7 @@ fn point_of_pair(
     let views = [point_view(first, i), point_view(second, j)];
     let point = triangulate(&context.camera, &views).expect("poses and keypoints are finite")?;
     let (inverse_depth, sigma) = point.inverse_depth(&first.camera_from_world);
-    let known = inverse_depth >= context.config.two_view.min_certainty * sigma;
+    let known = inverse_depth >= context.config.two_view.min_inverse_depth_sigmas * sigma;
     (known && point.largest_chi2 <= CHI2_2DOF_95).then_some(point)
 }
 
