@@ -144,7 +144,7 @@ mod tests {
         let text = "[seed]\nopacity = 0.5\n[refine]\nkeyframes = 7\n[surface.noise]\nfloor_m = 0.02\n\
                     [features]\nmost_times = 3.0\n[train]\nrefine = 9\n[densify]\npull = 0.5\n\
                     [labels]\nsecond_sight = false\nhindsight = false\n\
-                    [labels.displacement]\nbetter_ratio = 2.0\nbetter_by = 3.0\n";
+                    [labels.displacement]\nsigma_px = 2.0\n";
         let mut expected = Config::default();
         expected.insertion.opacity = 0.5;
         expected.subpixel.keyframes = 7;
@@ -154,8 +154,7 @@ mod tests {
         expected.densify.grad_threshold = 0.5;
         expected.labels.bootstrap_restart = false;
         expected.labels.mask_freed_space = false;
-        expected.labels.patch_motion.min_residual_ratio = 2.0;
-        expected.labels.patch_motion.min_residual_gain = 3.0;
+        expected.labels.patch_motion.sigma_px = 2.0;
         assert_eq!(
             parse(text).expect("valid"),
             expected,

@@ -27,7 +27,7 @@ pub use validate::ConfigError;
 
 /// Keys that were renamed in 0.2.0: (before, now). The old ones are read for one version more, as
 /// aliases.
-pub const RENAMED_KEYS: [(&str, &str); 11] = [
+pub const RENAMED_KEYS: [(&str, &str); 9] = [
     ("seed", "insertion"),
     ("refine", "subpixel"),
     ("surface", "depth_planes"),
@@ -37,14 +37,6 @@ pub const RENAMED_KEYS: [(&str, &str); 11] = [
     ("labels.second_sight", "labels.bootstrap_restart"),
     ("labels.hindsight", "labels.mask_freed_space"),
     ("labels.displacement", "labels.patch_motion"),
-    (
-        "labels.patch_motion.better_ratio",
-        "labels.patch_motion.min_residual_ratio",
-    ),
-    (
-        "labels.patch_motion.better_by",
-        "labels.patch_motion.min_residual_gain",
-    ),
 ];
 
 /// The whole configuration; a TOML table per field.

@@ -2,9 +2,9 @@
 //! (decision 005).
 //!
 //! ```text
-//! first pose ─→ samples ─→ free space of the last seconds ─→ depth evidence ─→ random field ─┐
-//!                                                                                            │
-//! FrameLabels ←─ flow check of suspects ←─ mask, keypoint labels ←───────────────────────────┘
+//! first pose ─→ samples ─→ free space of the last seconds, patch motion ─→ evidence ─→ random field ←─┐
+//!                                                                                          │          │
+//! FrameLabels ←─ mask, keypoint labels ←───────────────────────────────────────────────────┴─→ flow check
 //! ```
 //!
 //! The paper labels the tagged Gaussians once per keyframe. A person who walks in has no landmark
@@ -19,7 +19,8 @@
 //! | `free_space`, `evidence` | the depth cue | β of eq. 2 |
 //! | `flow_check` | suspects restored | III-B, eq. 9, 10 |
 //! | `bootstrap` | the first frames | III-A |
-//! | `patch_motion` | sideways motion, off by default | decision 012 |
+//! | `patch_motion` | motion within the own outline | decision 012 |
+//! | `past` | what earlier frames saw | |
 
 pub(crate) mod bootstrap;
 pub(crate) mod cues;
@@ -29,29 +30,29 @@ pub(crate) mod flow_check;
 pub(crate) mod free_space;
 pub mod landmarks;
 pub(crate) mod mask;
+pub(crate) mod past;
 pub(crate) mod patch_motion;
 pub(crate) mod retention;
 pub(crate) mod samples;
 
 use std::collections::VecDeque;
 use std::io::{Read, Write};
+use std::sync::Arc;
 
-use garad_core::{DepthImage, FrameId, KeyframeId, MaskImage, Se3};
+use garad_core::{DepthImage, FrameId, KeyframeId, MaskImage};
 use garad_crf::Crf;
-use serde::{Deserialize, Serialize};
+use garad_features::LkPyramid;
 
 use self::bootstrap::{BootstrapBuffer, FutureView, future_views, patch_motion_pyramid};
 use self::evidence::{FreeSpaceHistory, HistoryView};
 use self::field::label_samples;
-use self::flow_check::{PreviousFrame, restore_static};
 use self::free_space::FreeSpace;
 use self::landmarks::{LandmarkLabel, label_landmarks};
-use self::patch_motion::reference_images;
+use self::past::{PastView, reference_images};
 use self::samples::{FrameView, Lattice};
 use crate::config::ConfigError;
 use crate::context::Context;
 use crate::frame::{Frame, FrameLabels};
-use crate::images::ImageStore;
 use crate::io::{FrameInput, SlamError, TrackingState};
 use crate::map::Map;
 use crate::mask::MOVING;
@@ -74,13 +75,15 @@ pub struct Dynamics {
     pub(crate) future: Vec<FutureView>,
 }
 
-/// The free space of an earlier frame, and the frame's pose relative to a keyframe.
-#[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct PastView {
-    frame: FrameId,
-    reference: KeyframeId,
-    frame_from_reference: Se3,
-    free_space: FreeSpace,
+/// A frame as it is added to the history.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct NewView<'a> {
+    pub(crate) frame: &'a Frame,
+    pub(crate) reference: KeyframeId,
+    pub(crate) depth: &'a DepthImage,
+    pub(crate) image: Option<&'a Arc<LkPyramid>>,
+    /// What moves in it, if that is known.
+    pub(crate) cells: Option<&'a MaskImage>,
 }
 
 impl Dynamics {
@@ -117,8 +120,6 @@ impl Dynamics {
         context: &Context,
         view: FrameView<'_>,
         map: &Map,
-        images: &ImageStore,
-        previous: Option<PreviousFrame<'_>>,
         recorder: &mut Recorder,
     ) -> Option<FrameLabels> {
         let now = view.frame.id;
@@ -127,8 +128,8 @@ impl Dynamics {
             return None;
         }
         let history = self.history(context, map, now);
-        let references = reference_images(context, map, images, &self.future, now);
-        let labels = label_samples(
+        let references = reference_images(context, map, &self.past, &self.future, now);
+        label_samples(
             context,
             view,
             &self.lattice,
@@ -136,11 +137,7 @@ impl Dynamics {
             &history,
             &references,
             recorder,
-        )?;
-        Some(match previous {
-            Some(previous) => restore_static(context, view, previous, labels, recorder),
-            None => labels,
-        })
+        )
     }
 
     /// Whether a frame's free space is to be added to the history: every keyframe's is, and between
@@ -151,17 +148,15 @@ impl Dynamics {
         last.is_some_and(|view| view.frame.0 + gap <= frame.0)
     }
 
-    /// Adds a frame's free space to the history, and drops what is older than `memory_frames`.
-    pub(crate) fn add_view(
-        &mut self,
-        context: &Context,
-        map: &Map,
-        (frame, reference): (&Frame, KeyframeId),
-        depth: &DepthImage,
-        cells: Option<&MaskImage>,
-    ) {
-        let mut free_space = FreeSpace::new(depth, context.config.features.max_depth_m);
-        if let Some(cells) = cells {
+    /// Adds a frame to the history, and drops free space older than `memory_frames` and images older than
+    /// patch motion wants them.
+    pub(crate) fn add_view(&mut self, context: &Context, map: &Map, view: NewView<'_>) {
+        let labels = &context.config.labels;
+        let NewView {
+            frame, reference, ..
+        } = view;
+        let mut free_space = FreeSpace::new(view.depth, context.config.features.max_depth_m);
+        if let Some(cells) = view.cells {
             free_space.set_moving(cells.clone());
         }
         let reference_from_world = map.keyframe(reference).camera_from_world;
@@ -169,11 +164,17 @@ impl Dynamics {
             frame: frame.id,
             reference,
             frame_from_reference: frame.camera_from_world * reference_from_world.inverse(),
+            shutter: frame.shutter,
             free_space,
+            image: view.image.cloned(),
         });
         let oldest = oldest_view(context, frame.id);
         while self.past.front().is_some_and(|view| view.frame < oldest) {
             self.past.pop_front();
+        }
+        let reach = labels.patch_motion.reach_frames();
+        for view in &mut self.past {
+            view.image.take_if(|_| view.frame.0 + reach < frame.id.0);
         }
     }
 
@@ -209,8 +210,7 @@ impl Dynamics {
         let recent = self.past.iter().filter(|view| view.frame >= oldest);
         let recent = recent.map(|view| HistoryView {
             free_space: &view.free_space,
-            camera_from_world: view.frame_from_reference
-                * map.keyframe(view.reference).camera_from_world,
+            camera_from_world: view.camera_from_world(map),
             age_frames: now.0 - view.frame.0,
         });
         let future = self.future.iter().map(|view| HistoryView {
@@ -260,7 +260,6 @@ impl Dynamics {
         context: &Context,
         state: TrackingState,
         map: &Map,
-        images: &ImageStore,
         recorder: &mut Recorder,
     ) -> Option<(BootstrapBuffer, Vec<FutureView>)> {
         match (state, &mut self.bootstrap) {
@@ -278,7 +277,7 @@ impl Dynamics {
             bootstrap: None,
             future,
         };
-        let moving = by_future_alone.moving_share(context, &buffer, map, images, recorder);
+        let moving = by_future_alone.moving_share(context, &buffer, map, recorder);
         (moving >= MIN_MOVING).then_some((buffer, by_future_alone.future))
     }
 
@@ -288,7 +287,6 @@ impl Dynamics {
         context: &Context,
         buffer: &BootstrapBuffer,
         map: &Map,
-        images: &ImageStore,
         recorder: &mut Recorder,
     ) -> f64 {
         let Some(first) = buffer.frames.first() else {
@@ -301,7 +299,7 @@ impl Dynamics {
             depth: input.depth,
             pyramid: pyramid.as_ref(),
         };
-        let labels = self.label_frame(context, view, map, images, None, recorder);
+        let labels = self.label_frame(context, view, map, recorder);
         labels.map_or(0.0, |labels| {
             let cells = labels.cells.data();
             let moving = cells.iter().filter(|c| **c == MOVING).count();

@@ -220,9 +220,8 @@ impl Frame {
     /// Unless there is a label for every keypoint.
     pub(crate) fn apply_labels(&mut self, labels: &FrameLabels, camera: &Camera) {
         assert_eq!(labels.label.len(), self.len(), "a label per keypoint");
-        let unlinked = labels.suspect.iter().zip(&labels.in_use);
-        for (landmark, (suspect, in_use)) in self.landmark.iter_mut().zip(unlinked) {
-            if *suspect || !in_use {
+        for (landmark, in_use) in self.landmark.iter_mut().zip(&labels.in_use) {
+            if !in_use {
                 *landmark = None;
             }
         }
@@ -275,9 +274,6 @@ pub(crate) struct FrameLabels {
     pub(crate) label: Vec<Label>,
     /// Per keypoint: may it be matched?
     pub(crate) in_use: Vec<bool>,
-    /// Keypoints that the field took for dynamic, those that the flow check made static again
-    /// included: their match was made before that was known.
-    pub(crate) suspect: Vec<bool>,
     /// 255 where something moves, one value per cell.
     pub(crate) cells: MaskImage,
 }

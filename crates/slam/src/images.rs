@@ -3,13 +3,12 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use garad_core::{FrameId, GrayImage, KeyframeId};
+use garad_core::{GrayImage, KeyframeId};
 use garad_features::LkPyramid;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
 use crate::config::Config;
-use crate::map::Map;
 
 /// Levels above the full image where patch motion searches: displacements of 30 px must be found.
 const PATCH_MOTION_LEVELS: usize = 3;
@@ -50,25 +49,18 @@ impl ImageStore {
         self.pyramids.keys().copied()
     }
 
-    /// Keeps a new keyframe's image and drops those beyond `subpixel.keyframes` that are too old
-    /// for patch motion, too.
+    /// Keeps a new keyframe's image and drops those beyond `subpixel.keyframes`.
     pub(crate) fn insert(
         &mut self,
         keyframe: KeyframeId,
         pyramid: Option<Arc<LkPyramid>>,
-        map: &Map,
         config: &Config,
     ) {
         if let Some(pyramid) = pyramid {
             self.pyramids.insert(keyframe, pyramid);
         }
-        let oldest = oldest_reference(map.keyframe(keyframe).id, config);
         while self.pyramids.len() > config.subpixel.keyframes {
-            let first = self.pyramids.first_entry();
-            match first.filter(|first| map.keyframe(*first.key()).id >= oldest) {
-                Some(_) => break,
-                None => self.pyramids.pop_first(),
-            };
+            self.pyramids.pop_first();
         }
     }
 
@@ -94,13 +86,3 @@ impl ImageStore {
 /// [`ImageStore`] as it stands in a session.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct SavedImages<P>(Vec<(KeyframeId, P)>);
-
-/// The oldest frame whose image patch motion still compares with.
-fn oldest_reference(now: FrameId, config: &Config) -> FrameId {
-    let config = &config.labels.patch_motion;
-    let reach = match config.enabled {
-        true => config.ages_frames.into_iter().max().unwrap_or(0) + config.slack_frames(),
-        false => 0,
-    };
-    FrameId(now.0.saturating_sub(reach))
-}

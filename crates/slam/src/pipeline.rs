@@ -15,10 +15,9 @@ use garad_features::{LkPyramid, PlaceConfig, PlaceIndex};
 
 use crate::config::Config;
 use crate::context::Context;
-use crate::dynamics::Dynamics;
 use crate::dynamics::bootstrap::{BootstrapBuffer, FutureView};
-use crate::dynamics::flow_check::PreviousFrame;
 use crate::dynamics::samples::FrameView;
+use crate::dynamics::{Dynamics, NewView};
 use crate::frame::depth_time::depth_at_colour_time;
 use crate::frame::extract::{FrameExtractor, wanted_keypoints};
 use crate::frame::{Frame, FrameLabels};
@@ -164,20 +163,19 @@ impl Slam {
         if report.state == TrackingState::Tracking {
             self.tracker.update_velocity(&frame);
             if self.becomes_keyframe(&frame, inliers) {
-                let image = pyramid.clone();
-                let keyframe = self.add_keyframe(frame, input, image, labels, observer)?;
+                let keyframe = self.add_keyframe(frame, input, pyramid, labels, observer)?;
                 report.keyframe = Some(keyframe);
                 // The next frame is tracked from the adjusted keyframe.
                 frame = self.map.keyframe(keyframe).clone();
             } else {
-                self.add_view(&frame, input);
+                self.add_view(&frame, input, pyramid.as_ref());
             }
             let reference = self.tracker.reference();
             self.trajectory.push(&frame, reference, &self.map);
             self.recorder
                 .record("trajectory", |record| record.trajectory(&frame, &self.map));
             report.camera_from_world = Some(frame.camera_from_world);
-            self.tracker.set_last(frame, pyramid);
+            self.tracker.set_last(frame);
         }
         Ok(report)
     }
@@ -280,15 +278,9 @@ impl Slam {
             depth: input.depth,
             pyramid,
         };
-        let previous = self.tracker.last().zip(self.tracker.last_pyramid());
-        let labels = self.dynamics.label_frame(
-            &self.context,
-            view,
-            &self.map,
-            &self.images,
-            previous.map(|(frame, pyramid)| PreviousFrame { frame, pyramid }),
-            &mut self.recorder,
-        );
+        let labels = self
+            .dynamics
+            .label_frame(&self.context, view, &self.map, &mut self.recorder);
         if let Some(labels) = &labels {
             frame.apply_labels(labels, &self.context.camera);
         }
@@ -297,13 +289,18 @@ impl Slam {
     }
 
     /// Adds a frame between keyframes to the free-space history, if its turn has come.
-    fn add_view(&mut self, frame: &Frame, input: &FrameInput<'_>) {
+    fn add_view(&mut self, frame: &Frame, input: &FrameInput<'_>, image: Option<&Arc<LkPyramid>>) {
         let is_labelled = self.context.config.labels.enabled && input.mask.is_none();
         let usable = is_labelled && !self.localising && !self.tracker.is_weak();
         if usable && self.dynamics.wants_view(&self.context, frame.id) {
-            let cells = self.labelled.as_ref().map(|labelled| &labelled.cells);
-            let view = (frame, self.tracker.reference());
-            (self.dynamics).add_view(&self.context, &self.map, view, input.depth, cells);
+            let view = NewView {
+                frame,
+                reference: self.tracker.reference(),
+                depth: input.depth,
+                image,
+                cells: self.labelled.as_ref().map(|labelled| &labelled.cells),
+            };
+            (self.dynamics).add_view(&self.context, &self.map, view);
         }
     }
 
@@ -358,9 +355,14 @@ impl Slam {
         let mut labels = Vec::new();
         if config.labels.enabled && input.mask.is_none() {
             observer.begin(Stage::LabelMap);
-            let cells = cells.as_ref();
-            let view = (map.keyframe(id), id);
-            (self.dynamics).add_view(context, map, view, input.depth, cells);
+            let view = NewView {
+                frame: map.keyframe(id),
+                reference: id,
+                depth: input.depth,
+                image: pyramid.as_ref(),
+                cells: cells.as_ref(),
+            };
+            (self.dynamics).add_view(context, map, view);
             labels = (self.dynamics).label_keyframe(context, map, id, recorder);
             observer.end(Stage::LabelMap);
         }
@@ -382,7 +384,7 @@ impl Slam {
                 self.images.remove(culled);
             }
         }
-        self.images.insert(id, pyramid, map, config);
+        self.images.insert(id, pyramid, config);
         if config.insertion.enabled {
             let job = MappingJob {
                 keyframe: id,
@@ -414,13 +416,9 @@ impl Slam {
         observer: &mut dyn Observer,
     ) -> Result<FrameReport, SlamError> {
         let state = self.tracker.state();
-        let restart = self.dynamics.check_bootstrap(
-            &self.context,
-            state,
-            &self.map,
-            &self.images,
-            &mut self.recorder,
-        );
+        let restart =
+            self.dynamics
+                .check_bootstrap(&self.context, state, &self.map, &mut self.recorder);
         let Some((buffer, future)) = restart else {
             return Ok(report);
         };

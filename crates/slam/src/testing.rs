@@ -7,10 +7,9 @@ use garad_features::{Descriptor, Keypoint, LkPyramid};
 
 use crate::config::Config;
 use crate::context::Context;
-use crate::dynamics::Dynamics;
 use crate::dynamics::samples::FrameView;
+use crate::dynamics::{Dynamics, NewView};
 use crate::frame::{Frame, Levels};
-use crate::images::ImageStore;
 use crate::map::Map;
 use crate::trace::Recorder;
 
@@ -21,7 +20,6 @@ const WALL_M: f32 = 3.0;
 pub(crate) struct World {
     pub(crate) context: Context,
     pub(crate) map: Map,
-    pub(crate) images: ImageStore,
     pub(crate) dynamics: Dynamics,
 }
 
@@ -36,7 +34,6 @@ impl World {
         let context = Context::new(camera, config, 0, Par::Seq).expect("valid");
         Self {
             map: Map::default(),
-            images: ImageStore::default(),
             dynamics: Dynamics::new(&context).expect("valid"),
             context,
         }
@@ -87,12 +84,18 @@ impl World {
     /// Adds a keyframe and its free space.
     pub(crate) fn keep(&mut self, frame: Frame, depth: &DepthImage) -> KeyframeId {
         let id = self.map.add_keyframe(frame);
-        let view = (self.map.keyframe(id), id);
-        (self.dynamics).add_view(&self.context, &self.map, view, depth, None);
+        let view = NewView {
+            frame: self.map.keyframe(id),
+            reference: id,
+            depth,
+            image: None,
+            cells: None,
+        };
+        (self.dynamics).add_view(&self.context, &self.map, view);
         id
     }
 
-    /// Labels a frame, without a frame just before, and returns its mask in cells.
+    /// Labels a frame and returns its mask in cells.
     pub(crate) fn label(
         &self,
         frame: &mut Frame,
@@ -105,8 +108,7 @@ impl World {
             pyramid,
         };
         let (context, recorder) = (&self.context, &mut Recorder::default());
-        let (map, images) = (&self.map, &self.images);
-        let labels = (self.dynamics).label_frame(context, view, map, images, None, recorder)?;
+        let labels = (self.dynamics).label_frame(context, view, &self.map, recorder)?;
         frame.apply_labels(&labels, &context.camera);
         Some(labels.cells)
     }

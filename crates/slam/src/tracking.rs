@@ -20,7 +20,6 @@ pub(crate) mod shutter;
 pub(crate) mod subpixel;
 
 use std::io::{Read, Write};
-use std::sync::Arc;
 
 use garad_core::{DepthImage, FrameId, KeyframeId, Se3};
 use garad_features::{LkPyramid, PlaceIndex};
@@ -54,9 +53,8 @@ const USUAL_FRAMES: f64 = 10.0;
 #[derive(Debug)]
 pub struct Tracker {
     state: TrackingState,
-    /// The last tracked frame, and its image for the flow check.
+    /// The last tracked frame.
     last: Option<Frame>,
-    last_pyramid: Option<Arc<LkPyramid>>,
     /// Motion from the frame before the last one to the last.
     velocity: Option<Se3>,
     /// The keyframe that shares most landmarks with the last frame.
@@ -76,7 +74,6 @@ impl Default for Tracker {
         Self {
             state: TrackingState::NotInitialised,
             last: None,
-            last_pyramid: None,
             velocity: None,
             reference: KeyframeId(0),
             relocalised_at: None,
@@ -104,12 +101,6 @@ impl Tracker {
     #[must_use]
     pub fn last(&self) -> Option<&Frame> {
         self.last.as_ref()
-    }
-
-    /// Its image.
-    #[must_use]
-    pub fn last_pyramid(&self) -> Option<&LkPyramid> {
-        self.last_pyramid.as_deref()
     }
 
     /// The keyframe that shares most landmarks with the last frame.
@@ -279,9 +270,8 @@ impl Tracker {
     }
 
     /// The frame from which the next one is tracked.
-    pub(crate) fn set_last(&mut self, frame: Frame, pyramid: Option<Arc<LkPyramid>>) {
+    pub(crate) fn set_last(&mut self, frame: Frame) {
         self.last = Some(frame);
-        self.last_pyramid = pyramid;
     }
 
     /// Lost, as if no frame had been tracked, in a map that stays.
@@ -298,7 +288,6 @@ impl Tracker {
         let Self {
             state,
             last,
-            last_pyramid,
             velocity,
             reference,
             relocalised_at,
@@ -308,7 +297,6 @@ impl Tracker {
         } = self;
         to.put("state", state)?;
         to.put("last", last)?;
-        to.put("last_pyramid", &last_pyramid.as_deref())?;
         to.put("velocity", velocity)?;
         to.put("reference", reference)?;
         to.put("relocalised_at", relocalised_at)?;
@@ -322,9 +310,6 @@ impl Tracker {
         Ok(Self {
             state: from.take("state")?,
             last: from.take("last")?,
-            last_pyramid: from
-                .take::<Option<LkPyramid>>("last_pyramid")?
-                .map(Arc::new),
             velocity: from.take("velocity")?,
             reference: from.take("reference")?,
             relocalised_at: from.take("relocalised_at")?,

@@ -1,6 +1,6 @@
 //! [`FlowConfig`]: the settings of the flow check.
 
-use garad_core::chi_square::{CHI2_2DOF_50, CHI2_2DOF_95};
+use garad_core::chi_square::CHI2_2DOF_95;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{FeatureError, setting};
@@ -28,8 +28,7 @@ pub struct FlowConfig {
     pub covariance_floor_px2: f64,
     /// Static points a model needs; at least 3, as two lie on a line.
     pub min_support: usize,
-    /// Largest χ² of a suspect that counts as static. The quantile of 50 % and not of 95 %: a suspect
-    /// has a depth residual against it already.
+    /// Largest χ² of a suspect that counts as static.
     pub chi2: f64,
 }
 
@@ -67,20 +66,19 @@ impl Default for FlowConfig {
             estimator: FlowEstimator::Trimmed,
             covariance_floor_px2: 0.04,
             min_support: 10,
-            chi2: CHI2_2DOF_50,
+            chi2: CHI2_2DOF_95,
         }
     }
 }
 
 impl FlowConfig {
-    /// Eq. 9 and 10 to the letter: raw flow, plain moments, the quantile of 95 %.
+    /// Eq. 9 and 10 to the letter: raw flow, plain moments, no floor.
     #[must_use]
     pub fn as_printed() -> Self {
         Self {
             model: FlowForm::Raw,
             estimator: FlowEstimator::Moments,
             covariance_floor_px2: 0.0,
-            chi2: CHI2_2DOF_95,
             ..Self::default()
         }
     }

@@ -84,6 +84,35 @@ impl LkPyramid {
         })
     }
 
+    /// Zero-mean normalised cross-correlation of the window of 21 x 21 pixels around a pixel and that around
+    /// a pixel of another image, each position rounded; `None` beside the border, or if one window is flat.
+    ///
+    /// c = Σ (a - ā)(b - b̄) / √(Σ (a - ā)² Σ (b - b̄)²)
+    ///
+    /// # Numerics
+    /// Sums in integers, hence exact.
+    #[must_use]
+    pub fn correlation(&self, at: [f32; 2], other: &Self, other_at: [f32; 2]) -> Option<f64> {
+        let [a, b] = [(self, at), (other, other_at)].map(|(image, at)| image.levels[0].corner(at));
+        let (a, b) = (a?, b?);
+        let n = (WINDOW * WINDOW) as i64;
+        let [mut sa, mut sb, mut aa, mut ab, mut bb] = [0i64; 5];
+        for y in 0..WINDOW {
+            let row = |level: &LkLevel, first: usize| first + y * level.stride;
+            let (a, b) = (row(&self.levels[0], a), row(&other.levels[0], b));
+            let a = &self.levels[0].pairs[a..a + WINDOW];
+            let b = &other.levels[0].pairs[b..b + WINDOW];
+            for (a, b) in a.iter().zip(b) {
+                let (a, b) = (i64::from(a[0]), i64::from(b[0]));
+                (sa, sb) = (sa + a, sb + b);
+                (aa, ab, bb) = (aa + a * a, ab + a * b, bb + b * b);
+            }
+        }
+        let [covariance, va, vb] = [n * ab - sa * sb, n * aa - sa * sa, n * bb - sb * sb];
+        let scale = (va as f64).sqrt() * (vb as f64).sqrt();
+        (scale > 0.0).then(|| covariance as f64 / scale)
+    }
+
     pub(super) fn level(&self, level: usize) -> &LkLevel {
         &self.levels[level]
     }
@@ -105,6 +134,21 @@ impl<'de> Deserialize<'de> for LkPyramid {
 }
 
 impl LkLevel {
+    /// Index of the first pixel of the window around a position, rounded; `None` beside the border.
+    #[allow(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "within the image"
+    )]
+    fn corner(&self, [x, y]: [f32; 2]) -> Option<usize> {
+        let half = (WINDOW / 2) as f32;
+        let (left, top) = ((x + 0.5).floor() - half, (y + 0.5).floor() - half);
+        let [right, bottom] = [left, top].map(|c| c + WINDOW as f32);
+        let inside =
+            left >= 0.0 && top >= 0.0 && right <= self.width as f32 && bottom <= self.height as f32;
+        inside.then(|| (top as usize + PAD) * self.stride + left as usize + PAD)
+    }
+
     pub(super) fn new(image: &GrayImage) -> Self {
         let (width, height) = image.size();
         let stride = width + 2 * PAD;

@@ -273,3 +273,62 @@ proptest! {
         }
     }
 }
+
+/// c of two windows, term by term in f64.
+fn correlation_by_hand(
+    a: &GrayImage,
+    [ax, ay]: [usize; 2],
+    b: &GrayImage,
+    [bx, by]: [usize; 2],
+) -> f64 {
+    let window = |image: &GrayImage, x: usize, y: usize| {
+        let rows = (0..21).flat_map(move |dy| (0..21).map(move |dx| (x - 10 + dx, y - 10 + dy)));
+        rows.map(|at| f64::from(image[at])).collect::<Vec<_>>()
+    };
+    let (a, b) = (window(a, ax, ay), window(b, bx, by));
+    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+    let (ma, mb) = (mean(&a), mean(&b));
+    let sum = |f: &dyn Fn(f64, f64) -> f64| {
+        let pairs = a.iter().zip(&b);
+        pairs.map(|(a, b)| f(a - ma, b - mb)).sum::<f64>()
+    };
+    sum(&|a, b| a * b) / (sum(&|a, _| a * a) * sum(&|_, b| b * b)).sqrt()
+}
+
+#[test]
+fn correlation_is_that_of_the_formula() {
+    let a = noise(64, 48, 5);
+    let brighter = a.map(|v| v / 2 + 80);
+    let negative = a.map(|v| 255 - v);
+    let [p, q, n] = [&a, &brighter, &negative].map(|i| LkPyramid::new(i, 1).expect("an image"));
+    let at = [30.4, 20.0];
+    let with = |other: &LkPyramid, to: [f32; 2]| p.correlation(at, other, to);
+    assert!(
+        (with(&p, at).expect("inside") - 1.0).abs() < 1e-12,
+        "itself"
+    );
+    assert!(
+        (with(&n, at).expect("inside") + 1.0).abs() < 1e-12,
+        "its negative"
+    );
+    for to in [[30, 20], [31, 20], [12, 33]] {
+        let expected = correlation_by_hand(&a, [30, 20], &brighter, to);
+        let found = with(
+            &q,
+            [to[0], to[1]].map(|v| f32::from(u8::try_from(v).expect("small"))),
+        )
+        .expect("inside");
+        assert!(
+            (found - expected).abs() < 1e-12,
+            "{to:?}: {found} {expected}"
+        );
+    }
+    assert!(with(&p, [9.4, 20.0]).is_none(), "a column outside");
+    assert!(with(&p, [9.6, 20.0]).is_some(), "just inside");
+    assert!(
+        with(&p, [53.4, 20.0]).is_some() && with(&p, [53.6, 20.0]).is_none(),
+        "right"
+    );
+    let flat = LkPyramid::new(&GrayImage::new(64, 48, 90), 1).expect("an image");
+    assert!(with(&flat, at).is_none(), "flat");
+}

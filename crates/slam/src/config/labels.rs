@@ -47,6 +47,8 @@ pub struct LabelConfig {
     /// If more than this share of the judged samples is suspect, the pose is taken to be wrong and
     /// nothing is labelled.
     pub max_moving: f64,
+    /// Suspects that have been at rest for about so many frames, by the flow check, are static again.
+    pub rest_frames: u32,
     /// When the mask is interpolated, samples whose depth differs by more than this share belong to
     /// another object.
     pub edge_ratio: f64,
@@ -79,22 +81,22 @@ pub struct PatchMotionConfig {
     pub enabled: bool,
     /// Share of the samples that free space must suspect; with fewer there is no crowd to look at closely.
     pub min_suspects: f64,
-    /// Ages of the images compared with, frames; a kept one may be off by half the least of these.
+    /// Ages of the images compared with, frames; one may be off by half the least of these.
     pub ages_frames: [u32; 3],
     /// Standard deviation of a position found, px.
     pub sigma_px: f64,
     /// Texture a sample needs, in the units of [`garad_features::LkConfig::min_eigenvalue`].
     pub min_eigenvalue: f32,
-    /// Largest mean absolute difference of two patches that are the same, grey levels.
-    pub max_residual: f32,
-    /// The residual at the static prediction must be at least so many times that at the position
-    /// found ...
-    #[serde(alias = "better_ratio")]
-    pub min_residual_ratio: f64,
-    /// ... plus this, grey levels.
-    #[serde(alias = "better_by")]
-    pub min_residual_gain: f64,
-    /// Samples with a surface nearer by more than this in their window are left out, metres.
+    /// Correlation ([`garad_features::LkPyramid::correlation`]) at the static prediction from which a
+    /// sample is at rest without a search.
+    pub same_correlation: f64,
+    /// Correlation below which two patches do not show the same.
+    pub min_correlation: f64,
+    /// 1 - correlation at the static prediction must be at least so many times that at the position found ...
+    pub min_ratio: f64,
+    /// ... plus this.
+    pub min_gain: f64,
+    /// Samples with a surface nearer by more than this in their window, in either image, are left out, metres.
     pub edge_m: f64,
 }
 
@@ -103,20 +105,26 @@ impl PatchMotionConfig {
     pub(crate) fn slack_frames(&self) -> u32 {
         self.ages_frames.into_iter().min().unwrap_or(0) / 2
     }
+
+    /// Age of the oldest image compared with.
+    pub(crate) fn reach_frames(&self) -> u32 {
+        self.ages_frames.into_iter().max().unwrap_or(0) + self.slack_frames()
+    }
 }
 
 impl Default for PatchMotionConfig {
     fn default() -> Self {
         Self {
             enabled: true,
-            min_suspects: 0.1,
+            min_suspects: 0.02,
             ages_frames: [10, 20, 30],
-            sigma_px: 0.5,
+            sigma_px: 0.3,
             min_eigenvalue: 5e-3,
-            max_residual: 10.0,
-            min_residual_ratio: 1.5,
-            min_residual_gain: 1.0,
-            edge_m: 0.5,
+            same_correlation: 0.9,
+            min_correlation: 0.4,
+            min_ratio: 1.5,
+            min_gain: 0.05,
+            edge_m: 0.15,
         }
     }
 }
@@ -143,6 +151,7 @@ impl Default for LabelConfig {
             },
             suspect_sigmas: 3.0,
             max_moving: 0.9,
+            rest_frames: 10,
             edge_ratio: 0.04,
             tagged: TaggedLabels::Evidence,
             window: LabelWindowConfig::default(),

@@ -1,17 +1,19 @@
 //! The random field over one frame (eq. 1 to 6): samples, their depth evidence, labels and mask.
 //!
 //! ```text
-//! first pose ─→ samples of the frame ─→ free space of the last seconds ─→ depth evidence
+//! first pose ─→ samples of the frame ─→ free space of the last seconds ─→ depth evidence ←─ patch motion
 //!                                                                              │
-//!            keypoint labels, mask in cells ←─ beliefs ←─ random field ←───────┘
+//!            keypoint labels, mask in cells ←─ beliefs ←─ random field ←───────┴──── flow check of suspects
 //! ```
 
 use garad_core::{Label, Real};
 use garad_crf::{Crf, Cues, Node, unary};
 
 use super::evidence::{DepthEvidence, FreeSpaceHistory};
+use super::flow_check::at_rest;
 use super::mask::{label_at, mask_from_beliefs};
-use super::patch_motion::{ReferenceImage, add_patch_motion};
+use super::past::ReferenceImage;
+use super::patch_motion::add_patch_motion;
 use super::samples::{FrameView, Lattice, Sample, keypoint_samples};
 use crate::config::Config;
 use crate::context::Context;
@@ -40,14 +42,9 @@ pub(crate) fn label_samples(
         .chain(blocks.iter().flatten().copied())
         .collect();
     let mut evidence = depth_evidence(context, history, &samples);
-    let suspected = suspected_share(config, &evidence);
-    if let Some(pyramid) = view
-        .pyramid
-        .filter(|_| suspected >= config.labels.patch_motion.min_suspects)
-    {
-        add_patch_motion(context, view, pyramid, references, &samples, &mut evidence);
-    }
-    if suspected_share(config, &evidence) > config.labels.max_moving {
+    let contradicted =
+        |evidence: &[DepthEvidence]| suspected_share(config, evidence) > config.labels.max_moving;
+    if contradicted(&evidence) {
         return None;
     }
     let nodes: Vec<Node> = samples
@@ -58,13 +55,40 @@ pub(crate) fn label_samples(
             ..Node::default()
         })
         .collect();
-    let log_odds: Vec<f64> = evidence.iter().map(|e| log_odds(config, e)).collect();
-    let beliefs = crf
-        .infer_from_log_odds(&nodes, &log_odds, context.par)
-        .expect("samples and log-odds are finite, one of each per node");
-    recorder.record("label", |record| {
-        record.field(&nodes, &evidence, &log_odds, &beliefs);
-    });
+    let infer = |evidence: &[DepthEvidence], recorder: &mut Recorder| {
+        let log_odds: Vec<f64> = evidence.iter().map(|e| log_odds(config, e)).collect();
+        let beliefs = crf
+            .infer_from_log_odds(&nodes, &log_odds, context.par)
+            .expect("samples and log-odds are finite, one of each per node");
+        recorder.record("label", |record| {
+            record.field(&nodes, evidence, &log_odds, &beliefs);
+        });
+        beliefs
+    };
+    let mut beliefs = infer(&evidence, recorder);
+    let threshold = config.crf.threshold;
+    let suspected: Vec<bool> = beliefs.dynamic.iter().map(|b| *b > threshold).collect();
+    let suspects = suspected.iter().filter(|s| **s).count() as f64 / samples.len().max(1) as f64;
+    if let Some(pyramid) = view
+        .pyramid
+        .filter(|_| suspects > 0.0 && suspects >= config.labels.patch_motion.min_suspects)
+    {
+        add_patch_motion(context, view, pyramid, references, &samples, &mut evidence);
+        if contradicted(&evidence) {
+            return None;
+        }
+        let off = |r: &&ReferenceImage<'_>| r.age_frames.abs_diff(config.labels.rest_frames);
+        if let Some(reference) = references.iter().min_by_key(off) {
+            let rests = at_rest(context, pyramid, *reference, &samples, &suspected, recorder);
+            let at_rest = DepthEvidence {
+                residual: Some(0.0),
+                agreed_frames: reference.age_frames,
+            };
+            let restored = evidence.iter_mut().zip(rests).filter(|(_, rests)| *rests);
+            restored.for_each(|(evidence, _)| *evidence = at_rest);
+        }
+        beliefs = infer(&evidence, recorder);
+    }
 
     let (of_keypoints, of_lattice) = beliefs.dynamic.split_at(keypoints.len());
     let cells = mask_from_beliefs(lattice, &blocks, of_lattice, depth, config);
@@ -80,7 +104,6 @@ pub(crate) fn label_samples(
         .map(|(px, label)| *label == Label::Static && label_at(&near, px) == Label::Static);
     let labels = FrameLabels {
         in_use: in_use.collect(),
-        suspect: label.iter().map(|l| *l == Label::Dynamic).collect(),
         label,
         cells,
     };
@@ -135,11 +158,14 @@ fn log_odds(config: &Config, evidence: &DepthEvidence) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use garad_core::{DepthImage, MaskImage, Se3};
+    use std::sync::Arc;
+
+    use garad_core::{DepthImage, GrayImage, MaskImage, Se3};
+    use garad_features::LkPyramid;
 
     use super::*;
     use crate::mask::{MOVING, full_size};
-    use crate::testing::{World, is_in, places, wall, wall_behind};
+    use crate::testing::{World, is_in, places, texture, wall, wall_behind};
 
     /// Keyframes 0, 20 and 40, all of this.
     fn world_that_saw(depth: &DepthImage, config: Config) -> World {
@@ -184,6 +210,33 @@ mod tests {
         let full = full_size(&cells, (160, 120));
         let same = |x, y| (full[(x, y)] == MOVING) == is_in(box_px, x, y);
         assert!(places().iter().all(|&[x, y]| same(x, y)), "full size");
+    }
+
+    /// A box that has come before the wall is dynamic as long as it moves over its last ten frames, and
+    /// static once it has been at rest for as long.
+    #[test]
+    fn what_has_come_to_rest_is_static_again() {
+        for (moved_px, share) in [(3, 0.2), (0, 0.0)] {
+            let mut world = world_that_saw(&wall(), Config::default());
+            let box_px = [[48, 112], [32, 96]];
+            let depth = wall_behind(box_px);
+            let image = |by_px: usize| {
+                let texture = texture();
+                let image = GrayImage::from_fn(160, 120, |x, y| match is_in(box_px, x, y) {
+                    true => texture[(x + by_px, y)],
+                    false => texture[(x, y)],
+                });
+                LkPyramid::new(&image, 3).expect("an image")
+            };
+            let arrived = world.frame(60, &depth);
+            world.keep(arrived, &depth);
+            let view = world.dynamics.past.back_mut().expect("just added");
+            view.image = Some(Arc::new(image(0)));
+            let mut now = world.frame(70, &depth);
+            let cells = world.label(&mut now, &depth, Some(&image(moved_px)));
+            let moving = moving_share(&cells.expect("labelled"));
+            assert!((moving - share).abs() < 0.02, "{moved_px} px: {moving}");
+        }
     }
 
     /// What an object uncovers as it leaves was occluded until now: there is no evidence against it.

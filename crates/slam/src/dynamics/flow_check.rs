@@ -1,69 +1,56 @@
-//! The flow check (paper sec. III-B, eq. 9 and 10): suspects that flow as the static scene does become static
+//! The flow check (paper sec. III-B, eq. 9 and 10): suspects that flow as the static scene does are static
 //! again.
+//!
+//! The paper takes the flow between keyframes; here it is that over about `labels.rest_frames`, the
+//! distance of keyframes, which every frame has (decision 012). From one frame to the next somebody
+//! who sways or stops for a step moves less than a pixel.
 
-use garad_core::Label;
 use garad_features::flow::{FlowPoint, verify_flow};
 use garad_features::{LkConfig, LkPyramid, lk};
 use nalgebra::Vector2;
 
-use super::samples::FrameView;
+use super::past::ReferenceImage;
+use super::samples::Sample;
 use crate::context::Context;
-use crate::frame::{Frame, FrameLabels};
 use crate::images::lk_point;
 use crate::trace::Recorder;
 
 /// Static points the model is fitted to at most.
 const MAX_SUPPORT: usize = 200;
 
-/// The frame just before, as it was tracked, and its image.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct PreviousFrame<'a> {
-    pub(crate) frame: &'a Frame,
-    pub(crate) pyramid: &'a LkPyramid,
-}
-
-/// Suspects of the frame whose flow from the previous frame is that of the static scene become
-/// static again and may be matched. Their landmarks get their labels at the next keyframe.
+/// Which suspected samples have been at rest since the reference image was taken: their flow from it is that
+/// of the static scene.
 ///
 /// In residual form the predicted flow is that of a static point at the depth now measured under
 /// the camera's motion.
-pub(crate) fn restore_static(
+pub(crate) fn at_rest(
     context: &Context,
-    view: FrameView<'_>,
-    previous: PreviousFrame<'_>,
-    mut labels: FrameLabels,
+    pyramid: &LkPyramid,
+    reference: ReferenceImage<'_>,
+    samples: &[Sample],
+    suspected: &[bool],
     recorder: &mut Recorder,
-) -> FrameLabels {
+) -> Vec<bool> {
+    let mut rests = vec![false; samples.len()];
     let (camera, config) = (&context.camera, &context.config.flow);
-    let (frame, last) = (view.frame, previous.frame);
-    let Some(pyramid) = view.pyramid else {
-        return labels;
-    };
-    if !config.enabled || last.id.0 + 1 != frame.id.0 {
-        return labels;
+    if !config.enabled {
+        return rests;
     }
-    let suspects: Vec<usize> = (0..frame.len())
-        .filter(|&i| labels.label[i] == Label::Dynamic)
-        .collect();
-    let all_static: Vec<usize> = (0..frame.len())
-        .filter(|&i| labels.in_use[i] && frame.uv_px[i].x.is_finite())
-        .collect();
+    let of = |wanted: bool| (0..samples.len()).filter(move |i| suspected[*i] == wanted);
+    let suspects: Vec<usize> = of(true).collect();
+    let all_static: Vec<usize> = of(false).collect();
     if suspects.is_empty() || all_static.is_empty() {
-        return labels;
+        return rests;
     }
     let every = all_static.len().div_ceil(MAX_SUPPORT);
     let support: Vec<usize> = all_static.into_iter().step_by(every).collect();
     let tracked: Vec<usize> = support.iter().chain(&suspects).copied().collect();
 
-    // Backwards in time, so that the points are this frame's keypoints.
-    let points: Vec<[f32; 2]> = tracked.iter().map(|&i| lk_point(&frame.px[i])).collect();
+    // Backwards in time, so that the points are this frame's samples.
+    let points: Vec<[f32; 2]> = (tracked.iter().map(|&i| lk_point(&samples[i].px))).collect();
     let predicted: Vec<Option<Vector2<f64>>> = tracked
         .iter()
-        .map(|&i| {
-            let p_world = frame.world_point(i, camera)?;
-            let uv = camera.project(&(last.camera_from_world * p_world))?;
-            Some(camera.distort_pixel(&uv))
-        })
+        .map(|&i| reference.predicted_pixel(camera, &samples[i].p_world))
         .collect();
     let starts: Vec<[f32; 2]> = predicted
         .iter()
@@ -74,7 +61,7 @@ pub(crate) fn restore_static(
         max_residual: Some(context.config.subpixel.max_residual),
         ..LkConfig::default()
     };
-    let images = [pyramid, previous.pyramid];
+    let images = [pyramid, reference.pyramid];
     let tracks = lk::track(
         images[0],
         images[1],
@@ -104,184 +91,131 @@ pub(crate) fn restore_static(
         record.flow(&model, &flows, &verification);
     });
     for (i, verdict) in judged.into_iter().zip(verification.verdicts) {
-        if verdict.is_some_and(|v| v.inside) {
-            labels.label[i] = Label::Static;
-            labels.in_use[i] = true;
-        }
+        rests[i] = verdict.is_some_and(|v| v.inside);
     }
-    labels
+    rests
 }
 
 #[cfg(test)]
 mod tests {
-    use garad_core::{FrameId, GrayImage, MaskImage};
+    use garad_core::{DepthImage, GrayImage, Se3};
 
     use super::*;
     use crate::config::Config;
+    use crate::dynamics::free_space::FreeSpace;
+    use crate::dynamics::samples::keypoint_samples;
     use crate::testing::{World, is_in, places, texture, wall, wall_behind};
 
-    /// A frame with suspects, the frame just before, and their images.
+    /// Two images, the depth of the second, the motion between them, and what is suspected in the second.
     struct Scene {
         context: Context,
-        last: Frame,
-        now: Frame,
         images: [LkPyramid; 2],
-        labels: FrameLabels,
+        depth: DepthImage,
+        now_from_then: Se3,
+        suspected: Vec<bool>,
     }
 
     impl Scene {
-        fn new(world: World, last: Frame, now: Frame, images: [LkPyramid; 2]) -> Self {
-            let labels = FrameLabels {
-                label: vec![Label::Static; now.len()],
-                in_use: vec![true; now.len()],
-                suspect: vec![false; now.len()],
-                cells: MaskImage::new(40, 30, 0),
-            };
-            Self {
-                context: world.context,
-                last,
+        /// Which keypoints are at rest; the suspects are at these places.
+        fn rests(&self) -> Vec<bool> {
+            let mut world = World::new(Config::default());
+            world.context = self.context.clone();
+            let mut now = world.frame(30, &self.depth);
+            now.camera_from_world = self.now_from_then;
+            let samples = keypoint_samples(&now, &self.context.camera);
+            let samples: Vec<Sample> = samples.into_iter().map(|(_, sample)| sample).collect();
+            let free_space = FreeSpace::new(&wall(), 8.0);
+            let [then, now] = &self.images;
+            let reference = ReferenceImage::new(then, &free_space, Se3::identity());
+            let recorder = &mut Recorder::default();
+            at_rest(
+                &self.context,
                 now,
-                images,
-                labels,
-            }
-        }
-
-        /// The labels after the flow check.
-        fn checked(&self) -> FrameLabels {
-            let [before, now] = &self.images;
-            let view = FrameView {
-                frame: &self.now,
-                depth: &wall(),
-                pyramid: Some(now),
-            };
-            let previous = PreviousFrame {
-                frame: &self.last,
-                pyramid: before,
-            };
-            let (labels, recorder) = (self.labels.clone(), &mut Recorder::default());
-            restore_static(&self.context, view, previous, labels, recorder)
+                reference,
+                &samples,
+                &self.suspected,
+                recorder,
+            )
         }
 
         fn restored(&self) -> usize {
-            let after = self.checked();
-            let changed = after.label.iter().zip(&self.labels.label);
-            changed.filter(|(now, before)| now != before).count()
+            self.rests().into_iter().filter(|rests| *rests).count()
         }
     }
 
     /// What moves between the two images, and how far, px.
     const PATCH_PX: [[usize; 2]; 2] = [[48, 112], [32, 96]];
     const SHIFT_PX: usize = 3;
+    /// Its inner part, and a column of keypoints far from it.
+    const MOVING_PX: [[usize; 2]; 2] = [[60, 98], [44, 84]];
+    const STILL_PX: [[usize; 2]; 2] = [[10, 26], [20, 100]];
 
-    /// A camera at rest: the second image is the first, but for a patch that moves to the left.
-    /// Suspects are the inner part of the patch and a column of keypoints far from it.
-    fn scene() -> (Scene, [Vec<usize>; 2]) {
-        let world = World::new(Config::default());
+    fn pyramids(images: [&GrayImage; 2]) -> [LkPyramid; 2] {
+        images.map(|image| LkPyramid::new(image, 1).expect("an image"))
+    }
+
+    /// A camera at rest before a wall: the second image is the first, but for a patch that moves to the left.
+    fn scene() -> Scene {
         let first = texture();
         let second = GrayImage::from_fn(160, 120, |x, y| match is_in(PATCH_PX, x, y) {
             true => first[(x + SHIFT_PX, y)],
             false => first[(x, y)],
         });
-        let pyramid = |image| LkPyramid::new(image, 1).expect("an image");
-        let (last, now) = (world.frame(20, &wall()), world.frame(21, &wall()));
-        let mut scene = Scene::new(world, last, now, [pyramid(&first), pyramid(&second)]);
-        let places = places();
-        let within = |area: [[usize; 2]; 2]| {
-            let all = 0..places.len();
-            all.filter(|&i| is_in(area, places[i][0], places[i][1]))
-                .collect()
-        };
-        let moving: Vec<usize> = within([[60, 98], [44, 84]]);
-        let still: Vec<usize> = within([[10, 26], [20, 100]]);
-        let patch: Vec<usize> = within(PATCH_PX);
-        let labels = &mut scene.labels;
-        for &i in moving.iter().chain(&still) {
-            labels.label[i] = Label::Dynamic;
+        let suspected = places().into_iter();
+        let suspected = suspected.map(|[x, y]| is_in(MOVING_PX, x, y) || is_in(STILL_PX, x, y));
+        Scene {
+            context: World::new(Config::default()).context,
+            images: pyramids([&first, &second]),
+            depth: wall(),
+            now_from_then: Se3::identity(),
+            suspected: suspected.collect(),
         }
-        for &i in moving.iter().chain(&still).chain(&patch) {
-            labels.in_use[i] = false;
-        }
-        (scene, [moving, still])
     }
 
     #[test]
     fn suspects_that_flow_with_the_scene_are_static_again() {
-        let (scene, [moving, still]) = scene();
-        assert!(moving.len() >= 20 && still.len() == 20, "suspects");
-        let now = scene.checked();
-        assert_eq!(scene.restored(), still.len(), "some");
-        for (what, suspects, label) in [
-            ("still", still, Label::Static),
-            ("moving", moving, Label::Dynamic),
-        ] {
-            for i in suspects {
-                let is = (now.label[i], now.in_use[i]);
-                assert_eq!(
-                    is,
-                    (label, label == Label::Static),
-                    "{what}: {:?}",
-                    scene.now.px[i]
-                );
-            }
+        for ([x, y], rests) in places().into_iter().zip(scene().rests()) {
+            assert_eq!(rests, is_in(STILL_PX, x, y), "({x}, {y})");
         }
+        assert_eq!(scene().restored(), 20, "two columns of ten");
     }
 
     /// The camera has gone 10 cm to the right past a box at 1.5 m, in front of a wall at 3 m: with fx = 120 px the
     /// wall has gone 4 px to the left, and something at rest on the box 8 px. The suspects are on the box, which
-    /// has gone `box_px`.
-    fn past_a_box(box_px: usize) -> (Scene, Vec<usize>) {
-        let world = World::new(Config::default());
-        let first = texture();
-        let at = |x: usize, y| first[(x.min(159), y)];
-        let second = GrayImage::from_fn(160, 120, |x, y| match is_in(PATCH_PX, x, y) {
-            true => at(x + box_px, y),
-            false => at(x + 4, y),
-        });
-        let pyramid = |image| LkPyramid::new(image, 1).expect("an image");
-        let last = world.frame(20, &wall());
-        let mut now = world.frame(21, &wall_behind(PATCH_PX));
-        now.camera_from_world.translation.x = -0.1;
-        let mut scene = Scene::new(world, last, now, [pyramid(&first), pyramid(&second)]);
-        let FrameLabels { label, in_use, .. } = &mut scene.labels;
-        let mut suspects = Vec::new();
-        for (i, [x, y]) in places().into_iter().enumerate() {
-            in_use[i] = !is_in([[36, 124], [20, 108]], x, y);
-            if is_in([[64, 98], [48, 84]], x, y) {
-                label[i] = Label::Dynamic;
-                suspects.push(i);
-            }
-        }
-        (scene, suspects)
-    }
-
-    /// Near points flow further, as predicted: a suspect that flowed twice as far as the wall is static, and
-    /// one that flowed as far as the wall has moved.
+    /// has gone `box_px`: near points flow further, as predicted, and one that flowed as far as the wall has moved.
     #[test]
     fn predicted_flow_goes_the_way_of_the_flow() {
-        for (box_px, label) in [(8, Label::Static), (4, Label::Dynamic)] {
-            let (scene, suspects) = past_a_box(box_px);
-            assert!(suspects.len() >= 16, "suspects");
-            let now = scene.checked();
-            let at_rest = suspects.iter().filter(|_| label == Label::Static).count();
-            assert_eq!(scene.restored(), at_rest, "{box_px} px");
-            assert!(
-                suspects.iter().all(|i| now.label[*i] == label),
-                "{box_px} px"
-            );
+        let within = [[64, 98], [48, 84]];
+        for (box_px, is_at_rest) in [(8, true), (4, false)] {
+            let first = texture();
+            let at = |x: usize, y| first[(x.min(159), y)];
+            let second = GrayImage::from_fn(160, 120, |x, y| match is_in(PATCH_PX, x, y) {
+                true => at(x + box_px, y),
+                false => at(x + 4, y),
+            });
+            let depth = wall_behind(PATCH_PX);
+            let suspected = places().into_iter().map(|[x, y]| is_in(within, x, y));
+            let scene = Scene {
+                context: World::new(Config::default()).context,
+                images: pyramids([&first, &second]),
+                depth,
+                now_from_then: Se3::exp(&[-0.1, 0.0, 0.0, 0.0, 0.0, 0.0].into()),
+                suspected: suspected.collect(),
+            };
+            let suspects = scene.suspected.iter().filter(|s| **s).count();
+            assert!(suspects >= 16, "{suspects} suspects");
+            let expected = if is_at_rest { suspects } else { 0 };
+            assert_eq!(scene.restored(), expected, "{box_px} px");
         }
     }
 
     #[test]
-    fn without_an_image_of_the_frame_just_before_suspects_stay() {
-        let (mut scene, _) = scene();
-        assert_eq!(scene.restored(), 20, "as it should be");
+    fn without_a_model_suspects_stay() {
+        let mut scene = scene();
         scene.context.config.flow.enabled = false;
         assert_eq!(scene.restored(), 0, "switched off");
         scene.context.config.flow.enabled = true;
         scene.context.config.flow.min_support = 1000;
         assert_eq!(scene.restored(), 0, "too few to fit a model to");
-        scene.context.config.flow.min_support = 10;
-        scene.last.id = FrameId(19);
-        assert_eq!(scene.restored(), 0, "a frame is missing in between");
     }
 }

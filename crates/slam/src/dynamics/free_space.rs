@@ -73,6 +73,14 @@ impl FreeSpace {
         self.moving = Some(cells);
     }
 
+    /// Depth of the nearest surface around a point of the camera's frame; `None` outside the image and
+    /// without depth.
+    pub(crate) fn nearest_m(&self, p_cam: &Vector3<f64>, camera: &Camera) -> Option<f64> {
+        let (x, y) = cell_of(p_cam, camera)?;
+        let near = f64::from(*self.near.get(x, y)?);
+        (near > 0.0).then_some(near)
+    }
+
     /// The visibility of a point in this image, taken by `camera` from this pose.
     pub(crate) fn query(
         &self,

@@ -83,6 +83,7 @@ mod tests {
 
     use super::*;
     use crate::config::Config;
+    use crate::dynamics::NewView;
     use crate::testing::{World, is_in, places, wall, wall_behind};
 
     /// Labels a keyframe's landmarks; returns those that changed.
@@ -206,7 +207,14 @@ mod tests {
             ..
         } = &mut world;
         let recorder = &mut Recorder::default();
-        dynamics.add_view(context, map, (map.keyframe(back), back), &depth, None);
+        let view = NewView {
+            frame: map.keyframe(back),
+            reference: back,
+            depth: &depth,
+            image: None,
+            cells: None,
+        };
+        dynamics.add_view(context, map, view);
         let changed = changed(dynamics.label_keyframe(context, map, back, recorder));
         assert_eq!(dynamics.past.len(), 1, "30 frames of memory");
         let expected: Vec<_> = of_box.iter().map(|id| (*id, Label::Static)).collect();
