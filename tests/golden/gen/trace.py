@@ -465,7 +465,8 @@ def main():
         elif stage == "label":
             check_label(checks, run, config)
         elif stage == "masks":
-            check_masks(checks, run, get(frame, "label"), get(frame, "keypoints"), depth, config)
+            field = get(frame, "label", 1) or get(frame, "label")  # once more after the flow check
+            check_masks(checks, run, field, get(frame, "keypoints"), depth, config)
         elif stage in ("flow_lk", "subpixel"):
             check_tracks(checks, run, config["subpixel"]["max_residual"])
         elif stage == "flow":

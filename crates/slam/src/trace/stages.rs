@@ -252,7 +252,7 @@ impl StageRecord {
         self.output("belief", "1", &[], beliefs.dynamic.clone());
     }
 
-    /// The labels of a frame's keypoints before the flow check, and its mask in cells.
+    /// The labels of a frame's keypoints, and its mask in cells.
     pub(crate) fn labels(&mut self, labels: &FrameLabels) {
         let cells = &labels.cells;
         self.output("cells", "1", &[cells.width()], cells.data().to_vec());
