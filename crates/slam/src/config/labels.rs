@@ -79,7 +79,8 @@ pub enum TaggedLabels {
 pub struct PatchMotionConfig {
     /// Whether it is searched for: decision 012 says what it gains and what it costs.
     pub enabled: bool,
-    /// Share of the samples that free space must suspect; with fewer there is no crowd to look at closely.
+    /// Share of the samples that the field must find dynamic from free space alone; with fewer, neither patch
+    /// motion nor the flow check runs.
     pub min_suspects: f64,
     /// Ages of the images compared with, frames; one may be off by half the least of these.
     pub ages_frames: [u32; 3],

@@ -8,10 +8,10 @@
 //! eᵢ = ‖foundᵢ - predictedᵢ‖ / √(1 + (sᵢ / σ)²),   sᵢ = f b σ_z(zᵢ) / zᵢ²
 //!
 //! with the baseline b between the two cameras: sᵢ is the error of the prediction due to that of the
-//! sample's depth. In units of max(σ, spread), where the spread is the robust standard
-//! deviation of the displacements of samples that pass for static, eᵢ is a residual like that of free space. A patch that is nowhere
-//! near, by its correlation, has changed: something else was there. A single image may be wrong, so the
-//! second largest of three counts.
+//! sample's depth. In units of max(σ, spread), where the spread is the robust standard deviation of the
+//! displacements of samples that pass for static, eᵢ is a residual like that of free space. A patch that
+//! is nowhere near, by its correlation, has changed: something else was there. A single image may be
+//! wrong, so the second largest of three counts.
 //!
 //! This is the paper's flow check (sec. III-B, [`super::flow_check`]) in the opposite direction: that check
 //! restores suspects that rest, this one suspects what does not.
