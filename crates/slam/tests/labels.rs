@@ -237,6 +237,8 @@ fn people_who_walk_are_found_and_kept_out_of_the_pose() {
         "few keypoints of people become landmarks, and those are found: {} (4)",
         on.moving_landmarks
     );
+    let by_depth = run(recording, depth_alone(), Par::Seq).moving_landmarks;
+    assert!(by_depth > 5, "{by_depth} landmarks without patch motion");
 
     let (twin, alone) = walking_alone();
     let twin = ate_m(twin, alone);
