@@ -136,9 +136,10 @@ impl Tracker {
         usable
     }
 
-    /// First pose: motion model, then reference keyframe, or when lost all keyframes.
+    /// First pose: from the last frame; if that fails or the camera is lost, from the keyframes that look
+    /// most like the frame.
     pub(crate) fn first_pose(
-        &self,
+        &mut self,
         context: &Context,
         map: &Map,
         places: &PlaceIndex,
@@ -146,41 +147,40 @@ impl Tracker {
         observer: &mut dyn Observer,
         recorder: &mut Recorder,
     ) -> bool {
-        let stage = match self.state {
-            TrackingState::Lost => Stage::Relocalise,
-            _ => Stage::TrackMotion,
-        };
-        observer.begin(stage);
-        let found = match (self.state, &self.last) {
-            (TrackingState::Lost, _) => relocalise(context, map, places, frame, recorder),
-            (_, None) => false,
-            (_, Some(last)) => {
-                let by_motion = self.velocity.is_some_and(|velocity| {
-                    track_motion(
-                        context,
-                        map,
-                        last,
-                        &velocity,
-                        frame,
-                        &self.shutter,
-                        recorder,
-                    )
-                });
-                let reference = map.keyframe(self.reference);
-                by_motion
-                    || track_reference(
-                        context,
-                        map,
-                        last,
-                        reference,
-                        frame,
-                        &self.shutter,
-                        recorder,
-                    )
+        if self.state == TrackingState::Tracking {
+            observer.begin(Stage::TrackMotion);
+            let found = self.pose_from_last(context, map, frame, recorder);
+            observer.end(Stage::TrackMotion);
+            if found {
+                return true;
             }
-        };
-        observer.end(stage);
+            // Given up where it was expected: the rules of a lost camera hold from here on.
+            self.state = TrackingState::Lost;
+            frame.expected = None;
+        }
+        observer.begin(Stage::Relocalise);
+        let found = relocalise(context, map, places, frame, recorder);
+        observer.end(Stage::Relocalise);
         found
+    }
+
+    /// First pose from the last frame: motion model, then reference keyframe.
+    fn pose_from_last(
+        &self,
+        context: &Context,
+        map: &Map,
+        frame: &mut Frame,
+        recorder: &mut Recorder,
+    ) -> bool {
+        let Some(last) = &self.last else {
+            return false;
+        };
+        let shutter = &self.shutter;
+        let by_motion = self.velocity.is_some_and(|velocity| {
+            track_motion(context, map, last, &velocity, frame, shutter, recorder)
+        });
+        let reference = map.keyframe(self.reference);
+        by_motion || track_reference(context, map, last, reference, frame, shutter, recorder)
     }
 
     /// Final pose: links every landmark of the local map that can be found in the frame, optimises

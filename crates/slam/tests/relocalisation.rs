@@ -114,6 +114,27 @@ fn a_kidnapped_camera_is_found_where_the_map_knows_the_place() {
     );
 }
 
+/// From one frame to the next the camera is back at a place of the start, out of sight of the last frame: no frame
+/// is lost.
+#[test]
+fn a_jump_to_a_known_place_costs_no_frame() {
+    let scene = room(260);
+    let mut slam = slam(&scene, Par::Seq);
+    for i in 0..240 {
+        let report = process(&mut slam, &scene, i, i as f64 / 30.0, false);
+        assert_eq!(report.state, TrackingState::Tracking, "frame {i}");
+    }
+    let jump = process(&mut slam, &scene, 10, 8.0, false);
+    assert_eq!(jump.state, TrackingState::Tracking);
+    let world_from_first = scene.trajectory()[0].world_from_camera;
+    let truth = world_from_first.inverse() * scene.trajectory()[10].world_from_camera;
+    let error = jump.camera_from_world.expect("tracked") * truth;
+    assert!(
+        error.translation.norm() < 0.02 && error.rotation.angle_rad() < 0.01,
+        "{error:?}"
+    );
+}
+
 #[test]
 fn any_number_of_threads_finds_the_same_bits() {
     let scene = room(30);
