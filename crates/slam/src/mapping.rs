@@ -38,7 +38,7 @@ use std::io::{Read, Write};
 
 use garad_core::FrameId;
 
-use self::job::{MappingDone, MappingJob};
+use self::job::{MapFeedback, MappingDone, MappingJob};
 use self::mapper::Mapper;
 use self::worker::{MappingObserver, ObservedMapper, Worker};
 use crate::context::Context;
@@ -134,15 +134,15 @@ impl Mapping {
         self.due.front().is_some_and(|due| *due <= frame)
     }
 
-    /// Hands over the oldest job, waited for if need be; `false` if there is none.
+    /// Hands over the oldest job, waited for if need be; `None` if there is none.
     ///
     /// # Errors
     /// [`SlamError::MappingLost`].
-    pub(crate) fn hand_over(&mut self) -> Result<bool, SlamError> {
+    pub(crate) fn hand_over(&mut self) -> Result<Option<MapFeedback>, SlamError> {
         if self.due.pop_front().is_none() {
-            return Ok(false);
+            return Ok(None);
         }
-        let done = match self.answers.pop_front() {
+        let mut done = match self.answers.pop_front() {
             Some(done) => done,
             None => self.worker.next_answer()?,
         };
@@ -153,8 +153,9 @@ impl Mapping {
             loss = done.loss,
             "mapped"
         );
+        let feedback = std::mem::take(&mut done.feedback);
         self.done.push(done);
-        Ok(true)
+        Ok(Some(feedback))
     }
 
     /// Hands over every job and brings the mapper to rest in this thread.
@@ -162,7 +163,7 @@ impl Mapping {
     /// # Errors
     /// [`SlamError::MappingLost`].
     pub(crate) fn finish(&mut self) -> Result<(), SlamError> {
-        while self.hand_over()? {}
+        while self.hand_over()?.is_some() {}
         self.worker.join()
     }
 
@@ -248,7 +249,7 @@ mod tests {
         let mut seen = Vec::new();
         for frame in 0..12 {
             while mapping.is_due(FrameId(frame)) {
-                assert!(mapping.hand_over().expect("alive"), "due");
+                assert!(mapping.hand_over().expect("alive").is_some(), "due");
                 let done = mapping.done().last().expect("handed over");
                 seen.push((frame, done.clone()));
             }
@@ -285,8 +286,9 @@ mod tests {
         assert!(mapping.mapper().is_some(), "at rest before the first job");
         mapping.submit(job(0, 0)).expect("alive");
         assert!(mapping.mapper().is_none(), "at work");
-        assert!(mapping.hand_over().expect("alive"), "one job");
-        assert!(!mapping.hand_over().expect("alive"), "no second answer");
+        let mut answers = || mapping.hand_over().expect("alive").is_some();
+        assert!(answers(), "one job");
+        assert!(!answers(), "no second answer");
         mapping.worker.join().expect("alive");
         assert_eq!(
             mapping.mapper().expect("at rest").gaussians().len(),

@@ -30,7 +30,7 @@ use crate::keyframing::landmarks::{add_keyframe, landmarks_first_measured_in};
 use crate::keyframing::local_ba::local_ba;
 use crate::map::Map;
 use crate::mapping::Mapping;
-use crate::mapping::job::MappingJob;
+use crate::mapping::job::{MapFeedback, MappingJob};
 use crate::mask::full_size;
 use crate::observer::{Observer, Stage};
 use crate::trace::Recorder;
@@ -122,9 +122,11 @@ impl Slam {
         self.recorder.begin_frame(id);
         while self.mapping.is_due(id) {
             observer.begin(Stage::Handover);
-            let done = self.mapping.hand_over();
+            let feedback = self.mapping.hand_over();
             observer.end(Stage::Handover);
-            done?;
+            if let Some(feedback) = feedback? {
+                self.take_feedback(feedback);
+            }
         }
 
         let depth = self.depth_at_colour_time(input);
@@ -178,6 +180,11 @@ impl Slam {
             self.tracker.set_last(frame);
         }
         Ok(report)
+    }
+
+    /// Applies what the map gives back.
+    fn take_feedback(&mut self, feedback: MapFeedback) {
+        let MapFeedback {} = feedback;
     }
 
     /// The frame's depth, moved to the time of its colour image by the motion of the frame before.

@@ -1,4 +1,4 @@
-//! [`MappingJob`] and [`MappingDone`]: what tracking hands to the mapper, and what comes back.
+//! [`MappingJob`], [`MappingDone`] and [`MapFeedback`]: what tracking hands to the mapper, and what comes back.
 
 use garad_core::{DepthImage, FrameId, KeyframeId, Label, LandmarkId, MaskImage, RgbImage, Se3};
 use nalgebra::Vector3;
@@ -48,6 +48,10 @@ pub struct NewLandmark {
     pub px: [usize; 2],
 }
 
+/// What the map gives back to tracking at the hand-over.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct MapFeedback {}
+
 /// The outcome of a job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MappingDone {
@@ -67,4 +71,6 @@ pub struct MappingDone {
     pub loss: Option<f32>,
     /// Why training stopped early. The map is as it was after the last good iteration.
     pub error: Option<String>,
+    /// Taken out at the hand-over.
+    pub feedback: MapFeedback,
 }

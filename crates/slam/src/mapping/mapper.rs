@@ -16,7 +16,7 @@ use nalgebra::Vector3;
 
 use super::error::TrainError;
 use super::insert::{insert_depth_samples, insert_landmarks, scale_by_neighbours, untag_dropped};
-use super::job::{MappingDone, MappingJob};
+use super::job::{MapFeedback, MappingDone, MappingJob};
 use super::loop_correction::apply_loop_correction;
 use super::relabel::{Relabelled, assert_labels_agree, relabel};
 use super::train::{Pick, TrainStep, Trainer, TrainingScene};
@@ -128,6 +128,7 @@ impl Mapper {
             gaussians: 0,
             loss: None,
             error: None,
+            feedback: MapFeedback::default(),
         };
         let iterations = job.iterations;
         self.add_view(job);
