@@ -15,13 +15,16 @@ pub use garad_optim::LinearSolver;
 use serde::{Deserialize, Serialize};
 
 pub use keyframing::{CullingConfig, KeyframeConfig, LocalBaConfig, LoopConfig, TwoViewConfig};
-pub use labels::{LabelConfig, PatchMotionConfig, TaggedLabels};
+pub use labels::{
+    DepthCue, LabelConfig, LabelSource, PatchMotionConfig, SpreadConfig, TaggedLabels,
+};
 pub use mapping::{
     DensifyConfig, InitialScale, InsertionConfig, Optimiser, RateConfig, ScheduleConfig,
     TrainConfig,
 };
 pub use tracking::{
-    DepthPlanesConfig, DepthResidual, FeatureConfig, MotionConfig, SubpixelConfig, TrackingConfig,
+    DepthPlanesConfig, DepthResidual, FeatureConfig, MotionConfig, PointSource, SubpixelConfig,
+    TrackingConfig,
 };
 pub use validate::ConfigError;
 

@@ -18,6 +18,7 @@
 //! | `cues`, [`landmarks`], `retention` | a keyframe's landmarks | III-A, eq. 1 to 7 |
 //! | `free_space`, `evidence` | the depth cue | β of eq. 2 |
 //! | `flow_check` | suspects restored | III-B, eq. 9, 10 |
+//! | `gaussian_field`, `gaussian_mask` | the paper's loop (`labels.source`) | III-A, III-B |
 //! | `bootstrap` | the first frames | III-A |
 //! | `patch_motion` | motion within the own outline | decision 012 |
 //! | `past` | what earlier frames saw | |
@@ -28,6 +29,8 @@ pub(crate) mod evidence;
 pub(crate) mod field;
 pub(crate) mod flow_check;
 pub(crate) mod free_space;
+pub(crate) mod gaussian_field;
+pub(crate) mod gaussian_mask;
 pub mod landmarks;
 pub(crate) mod mask;
 pub(crate) mod past;
@@ -35,11 +38,11 @@ pub(crate) mod patch_motion;
 pub(crate) mod retention;
 pub(crate) mod samples;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::io::{Read, Write};
 use std::sync::Arc;
 
-use garad_core::{DepthImage, FrameId, KeyframeId, MaskImage};
+use garad_core::{DepthImage, FrameId, GaussianMap, KeyframeId, LandmarkId, MaskImage};
 use garad_crf::Crf;
 use garad_features::LkPyramid;
 
@@ -47,7 +50,11 @@ use self::bootstrap::{BootstrapBuffer, FutureView, future_views, patch_motion_py
 use self::evidence::{FreeSpaceHistory, HistoryView};
 use self::field::label_samples;
 use self::free_space::FreeSpace;
-use self::landmarks::{LandmarkLabel, label_landmarks};
+use self::gaussian_mask::{CellCentres, MaskLabelling, label_by_mask};
+use self::landmarks::{
+    LandmarkCues, LandmarkLabel, TaggedLabel, label_landmarks, local_cues, restore_landmarks,
+    take_labels_of_gaussians,
+};
 use self::past::{PastView, reference_images};
 use self::samples::{FrameView, Lattice};
 use crate::config::ConfigError;
@@ -73,6 +80,11 @@ pub struct Dynamics {
     bootstrap: Option<BootstrapBuffer>,
     /// Later frames, while the first ones are processed again.
     pub(crate) future: Vec<FutureView>,
+    /// The dynamic Gaussians, as last handed over; empty before.
+    dynamic_gaussians: GaussianMap,
+    /// Landmarks that the flow check found at rest, with the frame in which it did.
+    restored: Vec<(LandmarkId, FrameId)>,
+    centres: CellCentres,
 }
 
 /// A frame as it is added to the history.
@@ -93,13 +105,16 @@ impl Dynamics {
     /// [`SlamError::Config`] for an invalid setting of the field.
     pub fn new(context: &Context) -> Result<Self, SlamError> {
         let labels = &context.config.labels;
-        let restarts = labels.enabled && labels.bootstrap_restart;
+        let restarts = labels.enabled && labels.bootstrap_restart && labels.source.has_frames();
         Ok(Self {
             lattice: Lattice::new(&context.camera, labels.step_px),
             crf: Crf::new(context.config.crf.clone()).map_err(ConfigError::from)?,
             past: VecDeque::new(),
             bootstrap: restarts.then(BootstrapBuffer::default),
             future: Vec::new(),
+            dynamic_gaussians: GaussianMap::new(0),
+            restored: Vec::new(),
+            centres: CellCentres::new(&context.camera),
         })
     }
 
@@ -127,9 +142,23 @@ impl Dynamics {
         if is_empty || !self.is_active(context, now) {
             return None;
         }
-        let history = self.history(context, map, now);
         let references = reference_images(context, map, &self.past, &self.future, now);
-        label_samples(
+        let source = context.config.labels.source;
+        let by_mask = source.has_gaussians().then(|| {
+            let given = MaskLabelling {
+                dynamic: &self.dynamic_gaussians,
+                map,
+                lattice: &self.lattice,
+                centres: &self.centres,
+                references: &references,
+            };
+            label_by_mask(context, view, given, recorder)
+        });
+        if !source.has_frames() {
+            return by_mask;
+        }
+        let history = self.history(context, map, now);
+        let labels = label_samples(
             context,
             view,
             &self.lattice,
@@ -137,7 +166,47 @@ impl Dynamics {
             &history,
             &references,
             recorder,
-        )
+        )?;
+        Some(match by_mask {
+            Some(by_mask) => labels.union(by_mask),
+            None => labels,
+        })
+    }
+
+    /// Landmarks that a frame's labels restored: static again, and so will their Gaussians be.
+    pub(crate) fn restore(
+        &mut self,
+        context: &Context,
+        map: &mut Map,
+        frame: FrameId,
+        restored: &[LandmarkId],
+    ) {
+        restore_landmarks(context, map, restored);
+        self.restored.extend(restored.iter().map(|id| (*id, frame)));
+    }
+
+    /// The landmarks restored after the frame of the keyframe before, ascending.
+    pub(crate) fn restored_since(&self, before: FrameId) -> Vec<LandmarkId> {
+        let since = self.restored.iter().filter(|(_, frame)| *frame > before);
+        let ids: BTreeSet<LandmarkId> = since.map(|(id, _)| *id).collect();
+        ids.into_iter().collect()
+    }
+
+    /// Takes over what the map found in the job of a frame: labels of landmarks, and the dynamic Gaussians. A
+    /// landmark that was restored after that frame stays static; its Gaussian follows in the next job.
+    pub(crate) fn take_feedback(
+        &mut self,
+        context: &Context,
+        map: &mut Map,
+        frame: FrameId,
+        labels: &[TaggedLabel],
+        dynamic: Option<GaussianMap>,
+    ) {
+        self.restored.retain(|(_, at)| *at > frame);
+        let is_newer = |id: LandmarkId| self.restored.iter().any(|(restored, _)| *restored == id);
+        let labels = labels.iter().filter(|l| !is_newer(l.id)).copied();
+        take_labels_of_gaussians(context, map, labels);
+        self.dynamic_gaussians = dynamic.unwrap_or_else(|| GaussianMap::new(0));
     }
 
     /// Whether a frame's free space is to be added to the history: every keyframe's is, and between
@@ -192,6 +261,20 @@ impl Dynamics {
         }
         let history = self.history(context, map, now);
         label_landmarks(context, map, keyframe, &self.crf, &history, recorder)
+    }
+
+    /// What the field over tagged Gaussians reads of a keyframe's landmarks.
+    pub(crate) fn local_cues(
+        &self,
+        context: &Context,
+        map: &Map,
+        keyframe: KeyframeId,
+    ) -> Vec<LandmarkCues> {
+        let now = map.keyframe(keyframe).id;
+        if !self.is_active(context, now) {
+            return Vec::new();
+        }
+        local_cues(context, map, keyframe, &self.history(context, map, now))
     }
 
     /// Whether what moves can be told: not in the first frames, unless future views are known.
@@ -276,6 +359,9 @@ impl Dynamics {
             past: VecDeque::new(),
             bootstrap: None,
             future,
+            dynamic_gaussians: GaussianMap::new(0),
+            restored: Vec::new(),
+            centres: self.centres.clone(),
         };
         let moving = by_future_alone.moving_share(context, &buffer, map, recorder);
         (moving >= MIN_MOVING).then_some((buffer, by_future_alone.future))
@@ -315,9 +401,14 @@ impl Dynamics {
             past,
             bootstrap,
             future: _, // within one frame
+            dynamic_gaussians,
+            restored,
+            centres: _, // from the camera
         } = self;
         to.put("past", past)?;
-        to.put("bootstrap", bootstrap)
+        to.put("bootstrap", bootstrap)?;
+        to.put("dynamic_gaussians", dynamic_gaussians)?;
+        to.put("restored", restored)
     }
 
     /// Reads what [`Dynamics::save`] wrote.
@@ -328,6 +419,8 @@ impl Dynamics {
         Ok(Self {
             past: from.take("past")?,
             bootstrap: from.take("bootstrap")?,
+            dynamic_gaussians: from.take("dynamic_gaussians")?,
+            restored: from.take("restored")?,
             ..Self::new(context)?
         })
     }

@@ -276,6 +276,29 @@ pub(crate) struct FrameLabels {
     pub(crate) in_use: Vec<bool>,
     /// 255 where something moves, one value per cell.
     pub(crate) cells: MaskImage,
+    /// Landmarks that are static again, ascending (`labels.source = "gaussians"`).
+    pub(crate) restored: Vec<LandmarkId>,
+}
+
+impl FrameLabels {
+    /// Dynamic where either is.
+    pub(crate) fn union(mut self, other: Self) -> Self {
+        for (label, other) in self.label.iter_mut().zip(other.label) {
+            if other == Label::Dynamic {
+                *label = other;
+            }
+        }
+        for (in_use, other) in self.in_use.iter_mut().zip(other.in_use) {
+            *in_use &= other;
+        }
+        for (cell, other) in self.cells.data_mut().iter_mut().zip(other.cells.data()) {
+            *cell |= other;
+        }
+        Self {
+            restored: other.restored,
+            ..self
+        }
+    }
 }
 
 /// Dynamic if anything moves within `radius` of the keypoint.

@@ -138,6 +138,14 @@ impl Map {
         id
     }
 
+    /// Moves a landmark, unless it was dropped.
+    pub(crate) fn set_position(&mut self, id: LandmarkId, p_world: Vector3<f64>, scales: &[f64]) {
+        if let Some(landmark) = self.landmark_mut(id) {
+            landmark.p_world = p_world;
+            self.refresh(id, scales);
+        }
+    }
+
     /// Removes a landmark from the map and from every keyframe that observes it.
     pub fn drop_landmark(&mut self, id: LandmarkId) {
         let Some(landmark) = self.landmarks.get_mut(id.index()).and_then(Option::take) else {

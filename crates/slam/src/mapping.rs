@@ -134,11 +134,12 @@ impl Mapping {
         self.due.front().is_some_and(|due| *due <= frame)
     }
 
-    /// Hands over the oldest job, waited for if need be; `None` if there is none.
+    /// Hands over the oldest job, waited for if need be: its frame, and what the map gives back. `None` if there
+    /// is none.
     ///
     /// # Errors
     /// [`SlamError::MappingLost`].
-    pub(crate) fn hand_over(&mut self) -> Result<Option<MapFeedback>, SlamError> {
+    pub(crate) fn hand_over(&mut self) -> Result<Option<(FrameId, MapFeedback)>, SlamError> {
         if self.due.pop_front().is_none() {
             return Ok(None);
         }
@@ -154,8 +155,9 @@ impl Mapping {
             "mapped"
         );
         let feedback = std::mem::take(&mut done.feedback);
+        let frame = done.frame;
         self.done.push(done);
-        Ok(Some(feedback))
+        Ok(Some((frame, feedback)))
     }
 
     /// Hands over every job and brings the mapper to rest in this thread.
@@ -228,6 +230,8 @@ mod tests {
             mask: None,
             cells: None,
             labels: Vec::new(),
+            cues: Vec::new(),
+            restored: Vec::new(),
             moved: Vec::new(),
             poses: vec![Se3::identity(); keyframe as usize + 1],
             new_landmarks: Vec::new(),

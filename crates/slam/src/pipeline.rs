@@ -124,8 +124,8 @@ impl Slam {
             observer.begin(Stage::Handover);
             let feedback = self.mapping.hand_over();
             observer.end(Stage::Handover);
-            if let Some(feedback) = feedback? {
-                self.take_feedback(feedback);
+            if let Some((frame, feedback)) = feedback? {
+                self.take_feedback(frame, feedback);
             }
         }
 
@@ -182,9 +182,18 @@ impl Slam {
         Ok(report)
     }
 
-    /// Applies what the map gives back.
-    fn take_feedback(&mut self, feedback: MapFeedback) {
-        let MapFeedback {} = feedback;
+    /// Takes over what the map gives back of a keyframe's job.
+    fn take_feedback(&mut self, frame: FrameId, feedback: MapFeedback) {
+        let MapFeedback {
+            labels,
+            positions,
+            dynamic,
+        } = feedback;
+        let (context, map) = (&self.context, &mut self.map);
+        (self.dynamics).take_feedback(context, map, frame, &labels, dynamic);
+        for (id, p_world) in positions {
+            map.set_position(id, p_world, &context.scales);
+        }
     }
 
     /// The frame's depth, moved to the time of its colour image by the motion of the frame before.
@@ -290,6 +299,8 @@ impl Slam {
             .label_frame(&self.context, view, &self.map, &mut self.recorder);
         if let Some(labels) = &labels {
             frame.apply_labels(labels, &self.context.camera);
+            let (context, map) = (&self.context, &mut self.map);
+            (self.dynamics).restore(context, map, frame.id, &labels.restored);
         }
         observer.end(Stage::Label);
         labels
@@ -346,7 +357,8 @@ impl Slam {
         } = self;
         let config = &context.config;
         let frame_id = frame.id;
-        let since_last = (frame_id.0 - map.last_keyframe_frame().0) as usize;
+        let before = map.last_keyframe_frame();
+        let since_last = (frame_id.0 - before.0) as usize;
         let cells = labels.map(|labels| labels.cells);
         let mask = match &cells {
             Some(cells) => Some(full_size(cells, input.rgb.size())),
@@ -359,7 +371,7 @@ impl Slam {
         drop_old_depth_planes(map, id, config.depth_planes.keyframes);
         map.keyframe_mut(id).mask_depth_planes(mask.as_ref());
         observer.end(Stage::Keyframe);
-        let mut labels = Vec::new();
+        let (mut labels, mut cues) = (Vec::new(), Vec::new());
         if config.labels.enabled && input.mask.is_none() {
             observer.begin(Stage::LabelMap);
             let view = NewView {
@@ -370,7 +382,10 @@ impl Slam {
                 cells: cells.as_ref(),
             };
             (self.dynamics).add_view(context, map, view);
-            labels = (self.dynamics).label_keyframe(context, map, id, recorder);
+            match config.labels.source.has_gaussians() {
+                true => cues = self.dynamics.local_cues(context, map, id),
+                false => labels = self.dynamics.label_keyframe(context, map, id, recorder),
+            }
             observer.end(Stage::LabelMap);
         }
         if config.local_ba.enabled {
@@ -401,6 +416,8 @@ impl Slam {
                 mask,
                 cells,
                 labels,
+                cues,
+                restored: self.dynamics.restored_since(before),
                 poses: map.keyframe_poses(),
                 moved,
                 new_landmarks: landmarks_first_measured_in(map, id, config.labels.tagged),

@@ -52,13 +52,84 @@ pub struct LabelConfig {
     /// When the mask is interpolated, samples whose depth differs by more than this share belong to
     /// another object.
     pub edge_ratio: f64,
-    /// What decides the label of a tagged Gaussian.
+    /// Where the field runs.
+    pub source: LabelSource,
+    /// The depth cue of a landmark.
+    pub depth_cue: DepthCue,
+    /// What decides the label of a tagged Gaussian, with `source = "frames"`.
     pub tagged: TaggedLabels,
+    /// What decides the label of the other Gaussians, with the other sources.
+    pub spread: SpreadConfig,
+    /// Accumulated opacity of the dynamic Gaussians above which a pixel is in the Gaussian mask.
+    pub mask_opacity: f64,
     /// The retention window (eq. 7).
     pub window: LabelWindowConfig,
     /// Motion of samples' patches since older images.
     #[serde(alias = "displacement")]
     pub patch_motion: PatchMotionConfig,
+}
+
+/// Where the field runs, and how its labels reach the keypoints (decision 020).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LabelSource {
+    /// Over the samples of every frame and, at a keyframe, over landmarks; the frame's own mask labels its
+    /// keypoints.
+    #[default]
+    Frames,
+    /// Over the tagged Gaussians, in the mapping job of a keyframe; the mask rendered from the dynamic ones labels
+    /// the keypoints of later frames. The paper's loop.
+    Gaussians,
+    /// Over both; a keypoint in either mask is dynamic.
+    Both,
+}
+
+impl LabelSource {
+    /// Whether samples of every frame are labelled.
+    #[must_use]
+    pub fn has_frames(self) -> bool {
+        matches!(self, Self::Frames | Self::Both)
+    }
+
+    /// Whether tagged Gaussians are labelled, and their mask is rendered.
+    #[must_use]
+    pub fn has_gaussians(self) -> bool {
+        matches!(self, Self::Gaussians | Self::Both)
+    }
+}
+
+/// Cue β of eq. 2.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DepthCue {
+    /// Distance in front of the surfaces that earlier frames saw.
+    #[default]
+    FreeSpace,
+    /// "Variation of depth": standard deviation, over the observations, of measured minus predicted
+    /// depth, each in units of the sensor's σ.
+    Spread,
+}
+
+/// Labels of Gaussians without a node in the field, by a vote of their nearest neighbours that have one.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SpreadConfig {
+    /// Off: they keep the label they have.
+    pub enabled: bool,
+    /// Neighbours that vote at most.
+    pub neighbours: usize,
+    /// Distance of a neighbour at most, metres.
+    pub radius_m: f64,
+}
+
+impl Default for SpreadConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            neighbours: 5,
+            radius_m: 0.2,
+        }
+    }
 }
 
 /// What decides the label of a Gaussian that is tagged with a landmark.
@@ -154,7 +225,11 @@ impl Default for LabelConfig {
             max_moving: 0.9,
             rest_frames: 10,
             edge_ratio: 0.04,
+            source: LabelSource::Frames,
+            depth_cue: DepthCue::FreeSpace,
             tagged: TaggedLabels::Evidence,
+            spread: SpreadConfig::default(),
+            mask_opacity: 0.5,
             window: LabelWindowConfig::default(),
             patch_motion: PatchMotionConfig::default(),
         }

@@ -85,6 +85,8 @@ pub struct TrackingConfig {
     pub shutter_sigma_rad: f64,
     /// Virtual stereo: focal length times baseline, px·m.
     pub bf: f64,
+    /// Positions of the points that the pose is computed from.
+    pub points: PointSource,
     /// How a depth reading enters the pose and the bundle.
     pub depth_residual: DepthResidual,
     /// For `disparity`: standard deviation of the sensor's depth, px at `bf`: σ_z = σ z² / bf. A
@@ -101,6 +103,20 @@ pub enum DepthResidual {
     Disparity,
     /// ORB-SLAM's virtual right coordinate, with the σ of the keypoint.
     Right,
+    /// None: the printed eq. 11, two rows per keypoint.
+    None,
+}
+
+/// Positions of the points that the pose is computed from (P of eq. 11).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PointSource {
+    /// Those of the landmarks, which bundle adjustment moves.
+    #[default]
+    Landmarks,
+    /// The means of their Gaussians, which training moves: at each hand-over a landmark takes that of its
+    /// Gaussian.
+    Gaussians,
 }
 
 impl Default for TrackingConfig {
@@ -121,6 +137,7 @@ impl Default for TrackingConfig {
             max_local_keyframes: 80,
             shutter_sigma_rad: 0.01,
             bf: 40.0,
+            points: PointSource::Landmarks,
             depth_residual: DepthResidual::Disparity,
             disparity_sigma_px: 0.4,
         }

@@ -106,6 +106,7 @@ pub(crate) fn label_samples(
         in_use: in_use.collect(),
         label,
         cells,
+        restored: Vec::new(),
     };
     recorder.record("masks", |record| record.labels(&labels));
     Some(labels)

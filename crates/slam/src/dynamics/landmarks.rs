@@ -1,8 +1,10 @@
 //! The random field over the landmarks of a keyframe's local map, with all four cues (eq. 1 to 6), and
-//! their retention (eq. 7).
+//! their retention (eq. 7). The only writer of landmark labels, wherever the field runs (`labels.source`).
 
 use garad_core::{KeyframeId, Label, LandmarkId};
-use garad_crf::{Crf, Node};
+use garad_crf::{Crf, Cues, Node};
+use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
 
 use super::cues::landmark_cues;
 use super::evidence::FreeSpaceHistory;
@@ -22,8 +24,41 @@ pub struct LandmarkLabel {
     pub changed: bool,
 }
 
-/// Labels the landmarks that a keyframe and its neighbours observe, and is the only writer of
-/// landmark labels. A landmark that was dynamic in every run of the window is dropped (eq. 7).
+/// What the field reads of a landmark.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LandmarkCues {
+    /// The landmark.
+    pub id: LandmarkId,
+    /// Where the keyframe sees it, px.
+    pub uv_px: Vector2<f64>,
+    /// The cues of eq. 2.
+    pub cues: Cues,
+}
+
+/// The landmarks that a keyframe and its neighbours observe and that project into the keyframe, ascending.
+pub(crate) fn local_cues(
+    context: &Context,
+    map: &Map,
+    keyframe: KeyframeId,
+    history: &FreeSpaceHistory<'_>,
+) -> Vec<LandmarkCues> {
+    let neighbours = map.covisible(keyframe).into_keys();
+    let ids = map.observed_by(neighbours.chain([keyframe]));
+    let frame = map.keyframe(keyframe);
+    let seen = ids.into_iter().filter_map(|id| {
+        let landmark = map.landmark(id)?;
+        let uv_px = context
+            .camera
+            .project(&(frame.camera_from_world * landmark.p_world))
+            .filter(|uv| context.camera.contains(uv))?;
+        let cues = landmark_cues(context, map, landmark, history);
+        Some(LandmarkCues { id, uv_px, cues })
+    });
+    seen.collect()
+}
+
+/// Labels the landmarks that a keyframe and its neighbours observe. A landmark that was dynamic in every run of the
+/// window is dropped (eq. 7).
 pub(crate) fn label_landmarks(
     context: &Context,
     map: &mut Map,
@@ -32,37 +67,28 @@ pub(crate) fn label_landmarks(
     history: &FreeSpaceHistory<'_>,
     recorder: &mut Recorder,
 ) -> Vec<LandmarkLabel> {
-    let neighbours = map.covisible(keyframe).into_keys();
-    let ids = map.observed_by(neighbours.chain([keyframe]));
-    let frame = map.keyframe(keyframe);
-    let (ids, nodes): (Vec<LandmarkId>, Vec<Node>) = ids
-        .into_iter()
-        .filter_map(|id| {
-            let landmark = map.landmark(id)?;
-            let uv = context
-                .camera
-                .project(&(frame.camera_from_world * landmark.p_world))
-                .filter(|uv| context.camera.contains(uv))?;
-            let node = Node {
-                p_world: landmark.p_world,
-                uv_px: Some(uv),
-                cues: landmark_cues(context, map, landmark, history),
-                previous: Some(match landmark.label() {
-                    Label::Static => 0.0,
-                    Label::Dynamic => 1.0,
-                }),
-            };
-            Some((id, node))
-        })
-        .unzip();
+    let local = local_cues(context, map, keyframe, history);
+    let node = |seen: &LandmarkCues| {
+        let landmark = map.landmark(seen.id).expect("cues of landmarks of the map");
+        Node {
+            p_world: landmark.p_world,
+            uv_px: Some(seen.uv_px),
+            cues: seen.cues,
+            previous: Some(match landmark.label() {
+                Label::Static => 0.0,
+                Label::Dynamic => 1.0,
+            }),
+        }
+    };
+    let nodes: Vec<Node> = local.iter().map(node).collect();
     let beliefs = crf
         .infer(&nodes, context.par)
         .expect("positions and cues of landmarks are finite");
     recorder.record("label_map", |record| {
-        record.landmark_field(ids.iter().copied(), &nodes, &beliefs);
+        record.landmark_field(local.iter().map(|seen| seen.id), &nodes, &beliefs);
     });
-    let mut labelled = Vec::with_capacity(ids.len());
-    for (id, label) in ids.into_iter().zip(beliefs.labels) {
+    let mut labelled = Vec::with_capacity(local.len());
+    for (LandmarkCues { id, .. }, label) in local.into_iter().zip(beliefs.labels) {
         let landmark = map
             .landmark_mut(id)
             .expect("nodes are landmarks of the map");
@@ -74,6 +100,41 @@ pub(crate) fn label_landmarks(
         }
     }
     labelled
+}
+
+/// The label that a tagged Gaussian got in a mapping job.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TaggedLabel {
+    /// Its landmark.
+    pub id: LandmarkId,
+    /// Its label.
+    pub label: Label,
+    /// It was dynamic in every run of the window, and is gone.
+    pub removed: bool,
+}
+
+/// Gives landmarks the labels of their Gaussians, and drops those whose Gaussians are gone.
+pub(crate) fn take_labels_of_gaussians(
+    context: &Context,
+    map: &mut Map,
+    labels: impl Iterator<Item = TaggedLabel>,
+) {
+    for TaggedLabel { id, label, removed } in labels {
+        if removed {
+            map.drop_landmark(id);
+        } else if let Some(landmark) = map.landmark_mut(id) {
+            landmark.push_label(label, &context.config.labels.window);
+        }
+    }
+}
+
+/// Landmarks that the flow check found at rest are static again.
+pub(crate) fn restore_landmarks(context: &Context, map: &mut Map, restored: &[LandmarkId]) {
+    for id in restored {
+        if let Some(landmark) = map.landmark_mut(*id) {
+            landmark.push_label(Label::Static, &context.config.labels.window);
+        }
+    }
 }
 
 #[cfg(test)]

@@ -1,11 +1,12 @@
 //! [`Sample`]: the nodes of a frame's field, keypoints with depth and a lattice of pixels.
 
-use garad_core::{Camera, DepthImage};
+use garad_core::{Camera, DepthImage, MaskImage};
 use garad_features::LkPyramid;
 use nalgebra::{Vector2, Vector3};
 
 use crate::context::Context;
 use crate::frame::Frame;
+use crate::mask::CELL_PX;
 
 /// A frame to be labelled, and its images.
 #[derive(Debug, Clone, Copy)]
@@ -82,6 +83,16 @@ impl Lattice {
                     .find(|(_, z)| *z > 0.0 && *z <= max_depth_m)
             })
             .collect()
+    }
+
+    /// Nothing moves in a block of a mask in cells.
+    pub(crate) fn clear(&self, cells: &mut MaskImage, block: usize) {
+        let (column, row) = (block % self.columns, block / self.columns);
+        let first = |c: usize| (c * self.step_px).div_ceil(CELL_PX);
+        for y in first(row)..first(row + 1).min(cells.height()) {
+            let end = first(column + 1).min(cells.width());
+            cells.row_mut(y)[first(column)..end].fill(0);
+        }
     }
 
     /// The samples of a frame, block by block; `None` without depth nearby.

@@ -4,7 +4,7 @@ use garad_core::Image;
 use garad_core::pyramid::halve_real;
 
 /// Index n of the coarsest level: three levels, 2, 1, 0.
-const TOP_LEVEL: usize = 2;
+pub(crate) const TOP_LEVEL: usize = 2;
 
 /// The level of a view's next iteration, by the number of iterations it was used in before. Eq. 16:
 ///

@@ -280,6 +280,8 @@ mod tests {
             mask,
             cells: None,
             labels: Vec::new(),
+            cues: Vec::new(),
+            restored: Vec::new(),
             poses: Vec::new(),
             moved: Vec::new(),
             new_landmarks: Vec::new(),

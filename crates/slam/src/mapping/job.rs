@@ -1,11 +1,13 @@
 //! [`MappingJob`], [`MappingDone`] and [`MapFeedback`]: what tracking hands to the mapper, and what comes back.
 
-use garad_core::{DepthImage, FrameId, KeyframeId, Label, LandmarkId, MaskImage, RgbImage, Se3};
+use garad_core::{
+    DepthImage, FrameId, GaussianMap, KeyframeId, Label, LandmarkId, MaskImage, RgbImage, Se3,
+};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::relabel::Relabelled;
-use crate::dynamics::landmarks::LandmarkLabel;
+use crate::dynamics::landmarks::{LandmarkCues, LandmarkLabel, TaggedLabel};
 
 /// Everything the mapper needs to know of a keyframe.
 #[derive(Debug, Clone)]
@@ -22,8 +24,12 @@ pub struct MappingJob {
     pub mask: Option<MaskImage>,
     /// The same in cells, if the keyframe was labelled: Gaussians are then labelled, too.
     pub cells: Option<MaskImage>,
-    /// The landmarks labelled at the keyframe.
+    /// The landmarks labelled at the keyframe (`labels.source = "frames"`), ...
     pub labels: Vec<LandmarkLabel>,
+    /// ... or what their Gaussians are to be labelled by (the other sources).
+    pub cues: Vec<LandmarkCues>,
+    /// Landmarks that the flow check found at rest since the job before: their Gaussians are static again.
+    pub restored: Vec<LandmarkId>,
     /// camera_from_world of every keyframe so far, as adjusted.
     pub poses: Vec<Se3>,
     /// If a loop was closed at this keyframe: the correction of every keyframe so far,
@@ -50,7 +56,14 @@ pub struct NewLandmark {
 
 /// What the map gives back to tracking at the hand-over.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct MapFeedback {}
+pub struct MapFeedback {
+    /// Labels of tagged Gaussians, for their landmarks.
+    pub labels: Vec<TaggedLabel>,
+    /// Positions of tagged Gaussians (`tracking.points = "gaussians"`), metres.
+    pub positions: Vec<(LandmarkId, Vector3<f64>)>,
+    /// The dynamic Gaussians alone, for the Gaussian mask.
+    pub dynamic: Option<GaussianMap>,
+}
 
 /// The outcome of a job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

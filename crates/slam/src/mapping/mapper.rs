@@ -11,20 +11,23 @@
 use std::io::{Read, Write};
 use std::ops::RangeInclusive;
 
-use garad_core::{GaussianMap, Label, Se3};
+use garad_core::{GaussianMap, Label, LandmarkId, Se3};
+use garad_crf::Crf;
 use nalgebra::Vector3;
 
 use super::error::TrainError;
 use super::insert::{insert_depth_samples, insert_landmarks, scale_by_neighbours, untag_dropped};
 use super::job::{MapFeedback, MappingDone, MappingJob};
 use super::loop_correction::apply_loop_correction;
-use super::relabel::{Relabelled, assert_labels_agree, relabel};
+use super::relabel::{Relabelled, assert_labels_agree, push_labels, relabel};
 use super::train::{Pick, TrainStep, Trainer, TrainingScene};
 use super::view::TrainingView;
 use super::view_mask::{LaterView, ViewDepth};
-use crate::config::{DensifyConfig, InitialScale, TaggedLabels};
+use crate::config::{ConfigError, DensifyConfig, InitialScale, PointSource, TaggedLabels};
 use crate::context::Context;
 use crate::dynamics::free_space::FreeSpace;
+use crate::dynamics::gaussian_field::{LabelledGaussian, label_tagged, labels_by_vote};
+use crate::dynamics::landmarks::TaggedLabel;
 use crate::io::SlamError;
 use crate::observer::{Observer, Stage};
 use crate::session::sections::{SectionReader, SectionWriter, SessionError};
@@ -36,6 +39,7 @@ pub struct Mapper {
     context: Context,
     gaussians: GaussianMap,
     trainer: Trainer,
+    crf: Crf,
     /// camera_from_world of every keyframe.
     poses: Vec<Se3>,
     /// Extent of the camera's path, from `poses`.
@@ -47,12 +51,14 @@ impl Mapper {
     /// An empty map.
     ///
     /// # Errors
-    /// [`SlamError::Train`] (none for the settings used here).
+    /// [`SlamError::Config`] for an invalid setting of the field; [`SlamError::Train`] (none for the settings used
+    /// here).
     pub fn new(context: &Context) -> Result<Self, SlamError> {
         Ok(Self {
             context: context.clone(),
             gaussians: GaussianMap::new(0),
             trainer: Trainer::new(&context.camera, context.rng_seed).map_err(TrainError::from)?,
+            crf: Crf::new(context.config.crf.clone()).map_err(ConfigError::from)?,
             poses: Vec::new(),
             extent_m: extent_m(&[]),
             recorder: Recorder::default(),
@@ -78,6 +84,7 @@ impl Mapper {
     pub(crate) fn save<W: Write>(&self, to: &mut SectionWriter<W>) -> Result<(), SessionError> {
         let Self {
             context: _,
+            crf: _, // from the configuration
             gaussians,
             trainer,
             poses,
@@ -109,12 +116,20 @@ impl Mapper {
         self.extent_m = extent_m(&self.poses);
         apply_loop_correction(&mut self.gaussians, &job.moved);
         observer.begin(Stage::Relabel);
-        let relabelled = self.relabel(&job);
+        let by_field = self.context.config.labels.source.has_gaussians();
+        let (relabelled, voters, mut feedback) = match by_field {
+            true => self.relabel_by_field(&job),
+            false => (self.relabel(&job), Vec::new(), MapFeedback::default()),
+        };
+        self.mask_freed_space(&job);
         observer.end(Stage::Relabel);
         let before = self.gaussians.len();
         observer.begin(Stage::Insert);
         let inserted = self.insert(&job);
         observer.end(Stage::Insert);
+        if by_field {
+            self.label_inserted(before, &voters, &mut feedback);
+        }
         self.recorder.record("insert", |record| {
             record.landmarks(&job.living, &job.new_landmarks);
             record.gaussians(&self.gaussians);
@@ -128,7 +143,7 @@ impl Mapper {
             gaussians: 0,
             loss: None,
             error: None,
-            feedback: MapFeedback::default(),
+            feedback,
         };
         let iterations = job.iterations;
         self.add_view(job);
@@ -141,21 +156,113 @@ impl Mapper {
         let labels = self.gaussians.label.iter();
         done.dynamic = labels.filter(|l| **l == Label::Dynamic).count();
         done.gaussians = self.gaussians.len();
+        self.complete_feedback(&mut done.feedback);
         done
     }
 
-    /// Labels the Gaussians, drops those that were dynamic for a whole window (eq. 7), and excludes from
-    /// earlier views what the keyframe shows to be free space.
+    /// The field over the tagged Gaussians; the vote of those for the others; and the Gaussians that were dynamic
+    /// for a whole window are removed (eq. 7). Restored ones are static before.
+    fn relabel_by_field(
+        &mut self,
+        job: &MappingJob,
+    ) -> (Relabelled, Vec<LabelledGaussian>, MapFeedback) {
+        let (map, config) = (&mut self.gaussians, &self.context.config.labels);
+        let windows = self.trainer.windows(map);
+        let is_restored = |tag: &Option<LandmarkId>| {
+            tag.is_some_and(|id| job.restored.binary_search(&id).is_ok())
+        };
+        let restored = map
+            .landmark
+            .iter()
+            .map(|tag| is_restored(tag).then_some(Label::Static));
+        let restored: Vec<_> = restored.collect();
+        push_labels(map, windows, &restored, &config.window);
+        let voters = label_tagged(&self.context, &self.crf, map, &job.cues, &mut self.recorder);
+        let mut labels = match config.spread.enabled && !voters.is_empty() {
+            true => labels_by_vote(&self.context, map, 0..map.len(), &voters, &config.spread),
+            false => vec![None; map.len()],
+        };
+        for (label, tag) in labels.iter_mut().zip(&map.landmark) {
+            *label = label.filter(|_| tag.is_none());
+        }
+        for voter in &voters {
+            labels[voter.row] = Some(voter.label);
+        }
+        let (counts, expired) = push_labels(map, windows, &labels, &config.window);
+        eprintln!("DBG f {} cues {} voters {} dyn {} votes {:?} {counts:?} restored {}", job.frame.0, job.cues.len(), voters.len(), voters.iter().filter(|v| v.label==Label::Dynamic).count(), [Label::Static,Label::Dynamic].map(|l| labels.iter().filter(|x| **x==Some(l)).count()), job.restored.len());
+        let tagged = voters.iter().filter_map(|voter| {
+            Some(TaggedLabel {
+                id: map.landmark[voter.row]?,
+                label: voter.label,
+                removed: expired[voter.row],
+            })
+        });
+        let feedback = MapFeedback {
+            labels: tagged.collect(),
+            ..MapFeedback::default()
+        };
+        if counts.removed > 0 {
+            let keep: Vec<bool> = expired.into_iter().map(|e| !e).collect();
+            self.trainer.retain(&mut self.gaussians, &keep);
+        }
+        (counts, voters, feedback)
+    }
+
+    /// The vote of the labelled Gaussians for those inserted from row `first` on.
+    fn label_inserted(
+        &mut self,
+        first: usize,
+        voters: &[LabelledGaussian],
+        feedback: &mut MapFeedback,
+    ) {
+        let (map, config) = (&mut self.gaussians, &self.context.config.labels);
+        if !config.spread.enabled || voters.is_empty() {
+            return;
+        }
+        let windows = self.trainer.windows(map);
+        let mut labels = vec![None; first];
+        let rows = first..map.len();
+        labels.extend(labels_by_vote(
+            &self.context,
+            map,
+            rows.clone(),
+            voters,
+            &config.spread,
+        ));
+        push_labels(map, windows, &labels, &config.window);
+        feedback.labels.extend(rows.filter_map(|row| {
+            Some(TaggedLabel {
+                id: map.landmark[row]?,
+                label: labels[row]?,
+                removed: false,
+            })
+        }));
+    }
+
+    /// What tracking needs of the map as it is after the job.
+    fn complete_feedback(&self, feedback: &mut MapFeedback) {
+        let (map, config) = (&self.gaussians, &self.context.config);
+        if config.tracking.points == PointSource::Gaussians {
+            let tagged = (0..map.len()).filter_map(|row| {
+                let mean = Vector3::from(map.means[row].map(f64::from));
+                Some((map.landmark[row]?, mean))
+            });
+            feedback.positions = tagged.collect();
+        }
+        if config.labels.source.has_gaussians() {
+            let mut dynamic = map.clone();
+            dynamic.retain(|row| map.label[row] == Label::Dynamic);
+            feedback.dynamic = Some(dynamic);
+        }
+    }
+
+    /// Labels the Gaussians, and drops those that were dynamic for a whole window (eq. 7).
     ///
     /// A keyframe without a mask in cells speaks of landmarks alone, and only where these decide.
     fn relabel(&mut self, job: &MappingJob) -> Relabelled {
         let Context { camera, config, .. } = &self.context;
         let pose = self.poses[job.keyframe.index()];
-        let free_space = job.cells.as_ref().map(|cells| {
-            let mut free_space = FreeSpace::new(&job.depth, config.features.max_depth_m);
-            free_space.set_moving(cells.clone());
-            free_space
-        });
+        let free_space = self.free_space(job);
         let by_landmarks = config.labels.tagged == TaggedLabels::Landmark;
         if free_space.is_none() && !by_landmarks {
             return Relabelled::default();
@@ -182,16 +289,30 @@ impl Mapper {
                 config.labels.tagged,
             );
         }
-        if let Some(free_space) = &free_space {
+        counts
+    }
+
+    /// Excludes from earlier views what the keyframe shows to be free space.
+    fn mask_freed_space(&mut self, job: &MappingJob) {
+        let Context { camera, config, .. } = &self.context;
+        if let Some(free_space) = self.free_space(job) {
             let later = LaterView {
                 frame: job.frame,
-                free_space,
-                camera_from_world: pose,
+                free_space: &free_space,
+                camera_from_world: self.poses[job.keyframe.index()],
             };
             self.trainer
                 .mask_freed_space(&later, &self.poses, camera, &config.labels);
         }
-        counts
+    }
+
+    /// The free space of a keyframe that was labelled.
+    fn free_space(&self, job: &MappingJob) -> Option<FreeSpace> {
+        let cells = job.cells.as_ref()?;
+        let max_depth_m = self.context.config.features.max_depth_m;
+        let mut free_space = FreeSpace::new(&job.depth, max_depth_m);
+        free_space.set_moving(cells.clone());
+        Some(free_space)
     }
 
     /// One Gaussian for each new landmark, and Gaussians where the map does not explain the keyframe yet.

@@ -7,7 +7,7 @@
 use std::collections::BTreeMap;
 
 use garad_core::{Camera, GaussianMap, Label, LandmarkId, Se3};
-use garad_crf::LabelWindow;
+use garad_crf::{LabelWindow, LabelWindowConfig};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -48,19 +48,32 @@ pub(crate) fn relabel(
             Visibility::InFront(_) | Visibility::Occluded | Visibility::Unknown => None,
         }
     };
-    let mut counts = Relabelled::default();
-    let mut expired = vec![false; map.len()];
-    for i in 0..map.len() {
+    let label = |map: &GaussianMap, i: usize| {
         let tag = map.landmark[i];
         let landmark = tag.and_then(|l| labelled.get(&l));
-        let label = match config.tagged {
+        match config.tagged {
             TaggedLabels::Landmark if tag.is_some() => landmark.map(|l| l.label),
             _ => (landmark.filter(|l| l.changed).map(|l| l.label))
                 .or_else(|| of_evidence(map.means[i])),
-        };
-        let Some(label) = label else { continue };
-        let window = &mut windows[i];
-        let retention = push_label(&mut map.label[i], window, label, &config.window);
+        }
+    };
+    let labels: Vec<Option<Label>> = (0..map.len()).map(|i| label(map, i)).collect();
+    push_labels(map, windows, &labels, &config.window)
+}
+
+/// Adds a label to the window of each Gaussian that has one here; the second result marks those that were dynamic for
+/// a whole window.
+pub(crate) fn push_labels(
+    map: &mut GaussianMap,
+    windows: &mut [LabelWindow],
+    labels: &[Option<Label>],
+    config: &LabelWindowConfig,
+) -> (Relabelled, Vec<bool>) {
+    let mut counts = Relabelled::default();
+    let mut expired = vec![false; map.len()];
+    for (i, label) in labels.iter().enumerate() {
+        let Some(label) = *label else { continue };
+        let retention = push_label(&mut map.label[i], &mut windows[i], label, config);
         expired[i] = retention.expired;
         match (retention.changed, label) {
             (true, Label::Dynamic) => counts.to_dynamic += 1,

@@ -44,17 +44,18 @@ pub(crate) fn observation(
     p_world: Vector3<f64>,
 ) -> PoseObservation {
     let sigma_px = frame.sigma_px[i];
-    let depth = frame.depth_m[i].map(|depth_m| {
+    let depth = frame.depth_m[i].and_then(|depth_m| {
         let disparity_px = config.bf / depth_m;
         match config.depth_residual {
-            DepthResidual::Disparity => DepthObservation::Disparity {
+            DepthResidual::Disparity => Some(DepthObservation::Disparity {
                 disparity_px,
                 sigma_px: config.disparity_sigma_px,
-            },
-            DepthResidual::Right => DepthObservation::Right {
+            }),
+            DepthResidual::Right => Some(DepthObservation::Right {
                 u_px: frame.uv_px[i].x - disparity_px,
                 sigma_px,
-            },
+            }),
+            DepthResidual::None => None,
         }
     });
     PoseObservation {

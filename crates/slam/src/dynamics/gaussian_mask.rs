@@ -1,0 +1,235 @@
+//! The Gaussian mask (sec. III-A, III-B): the dynamic Gaussians, rendered where the camera is expected, bring their label back to
+//! the keypoints through the levels of the image pyramid (decision 020).
+//!
+//! ```text
+//! dynamic Gaussians ─→ rendered at levels 2, 1, 0 ─→ keypoints in the mask: suspects ─→ flow check ─→ FrameLabels
+//!                                                                                          │
+//!                                        landmarks restored, and their Gaussians at the next job ←─┘
+//! ```
+
+use garad_core::{Camera, GaussianMap, Label, LandmarkId, MaskImage, Real};
+use garad_features::LkPyramid;
+use garad_raster::{RenderOptions, fast};
+use nalgebra::Vector2;
+
+use super::flow_check::at_rest;
+use super::mask::label_at;
+use super::past::ReferenceImage;
+use super::samples::{FrameView, Lattice, Sample, keypoint_samples};
+use crate::context::Context;
+use crate::frame::{Frame, FrameLabels};
+use crate::map::Map;
+use crate::mapping::coarse_to_fine::TOP_LEVEL;
+use crate::mask::{self, CELL_PX, MOVING};
+use crate::trace::Recorder;
+
+/// The mask at every level of eq. 16, the full image first.
+#[derive(Debug)]
+pub(crate) struct GaussianMask {
+    levels: Vec<MaskImage>,
+}
+
+impl GaussianMask {
+    /// 255 where the dynamic Gaussians, rendered alone from the frame's pose, have an accumulated opacity above
+    /// `labels.mask_opacity`.
+    pub(crate) fn render(context: &Context, dynamic: &GaussianMap, frame: &Frame) -> Self {
+        let options = RenderOptions::default();
+        let least = context.config.labels.mask_opacity.to_f32();
+        let level = |level| {
+            let camera = context.camera.level(level);
+            let pose = &frame.camera_from_world;
+            let rendered = fast::render(dynamic, &camera, pose, &options, context.par)
+                .expect("the Gaussians of a map and a finite pose");
+            let opacity = rendered.opacity;
+            opacity.map(|o| if *o > least { MOVING } else { 0 })
+        };
+        Self {
+            levels: (0..=TOP_LEVEL).map(level).collect(),
+        }
+    }
+
+    /// The label at a pixel of the undistorted image, for a keypoint of this scale: it is looked up in the level
+    /// whose scale 2ˡ is nearest to its own, by their ratio.
+    pub(crate) fn label(&self, uv_px: &Vector2<f64>, scale: f64) -> Label {
+        let is_past = |level: &usize| scale * scale > 2.0 * f64::from(1u32 << (2 * level));
+        self.at((0..TOP_LEVEL).take_while(is_past).count(), uv_px)
+    }
+
+    #[allow(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "float to integer saturates; `get` refuses what lies outside"
+    )]
+    fn at(&self, level: usize, uv_px: &Vector2<f64>) -> Label {
+        let at = uv_px / f64::from(1u32 << level) + Vector2::new(0.5, 0.5);
+        let inside = at.x >= 0.0 && at.y >= 0.0;
+        let pixel = inside.then(|| self.levels[level].get(at.x as usize, at.y as usize));
+        match pixel.flatten() {
+            Some(&MOVING) => Label::Dynamic,
+            _ => Label::Static,
+        }
+    }
+
+    /// The mask in cells of the recorded image.
+    fn cells(&self, centres: &CellCentres) -> MaskImage {
+        MaskImage::from_fn(centres.columns, centres.rows, |x, y| {
+            let uv_px = centres.uv_px[y * centres.columns + x];
+            match uv_px.map(|uv_px| self.at(TOP_LEVEL, &uv_px)) {
+                Some(Label::Dynamic) => MOVING,
+                _ => 0,
+            }
+        })
+    }
+}
+
+/// The centres of the cells of a mask in the undistorted image, px; `None` outside of it.
+#[derive(Debug, Clone)]
+pub(crate) struct CellCentres {
+    columns: usize,
+    rows: usize,
+    uv_px: Vec<Option<Vector2<f64>>>,
+}
+
+impl CellCentres {
+    pub(crate) fn new(camera: &Camera) -> Self {
+        let (columns, rows) = (
+            camera.width.div_ceil(CELL_PX),
+            camera.height.div_ceil(CELL_PX),
+        );
+        let centre = |c: usize| (c * CELL_PX) as f64 + (CELL_PX as f64 - 1.0) / 2.0;
+        let cells = (0..rows).flat_map(|y| (0..columns).map(move |x| (x, y)));
+        let uv_px = |(x, y)| camera.undistort_pixel(&Vector2::new(centre(x), centre(y)));
+        Self {
+            columns,
+            rows,
+            uv_px: cells.map(uv_px).collect(),
+        }
+    }
+}
+
+/// What a frame's labels are made of, beside the frame.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct MaskLabelling<'a> {
+    pub(crate) dynamic: &'a GaussianMap,
+    pub(crate) map: &'a Map,
+    pub(crate) lattice: &'a Lattice,
+    pub(crate) centres: &'a CellCentres,
+    pub(crate) references: &'a [ReferenceImage<'a>],
+}
+
+/// Labels a frame's keypoints by the Gaussian mask: those in it are suspects, and the flow check sets some static
+/// again, with their landmarks. Samples of the lattice are checked in the same way, so that the
+/// mask loses the blocks that are at rest.
+pub(crate) fn label_by_mask(
+    context: &Context,
+    view: FrameView<'_>,
+    given: MaskLabelling<'_>,
+    recorder: &mut Recorder,
+) -> FrameLabels {
+    let FrameView { frame, depth, .. } = view;
+    let mask = GaussianMask::render(context, given.dynamic, frame);
+    let scale = |i: usize| context.scales[usize::from(frame.keypoints[i].level)];
+    let keypoints = keypoint_samples(frame, &context.camera);
+    let blocks = given.lattice.samples(frame, depth, context);
+    let mut label: Vec<Label> = (0..frame.len())
+        .map(|i| mask.label(&frame.uv_px[i], scale(i)))
+        .collect();
+    let mut cells = mask.cells(given.centres);
+
+    let samples: Vec<Sample> = keypoints
+        .iter()
+        .map(|(_, sample)| *sample)
+        .chain(blocks.iter().flatten().copied())
+        .collect();
+    let of_keypoints = keypoints.iter().map(|(i, _)| label[*i]);
+    let of_blocks = blocks.iter().flatten().map(|s| label_at(&cells, &s.px));
+    let suspected = of_keypoints.chain(of_blocks).map(|l| l == Label::Dynamic);
+    let suspected: Vec<bool> = suspected.collect();
+    let rests = rests(
+        context,
+        view.pyramid,
+        given.references,
+        &samples,
+        &suspected,
+        recorder,
+    );
+
+    let (keypoints_rest, blocks_rest) = rests.split_at(keypoints.len());
+    let restored = keypoints.iter().zip(keypoints_rest);
+    let restored = restored.filter(|(_, rests)| **rests).map(|((i, _), _)| *i);
+    let restored: Vec<usize> = restored.collect();
+    for i in &restored {
+        label[*i] = Label::Static;
+    }
+    let with_depth = (0..blocks.len()).filter(|b| blocks[*b].is_some());
+    for (block, _) in with_depth.zip(blocks_rest).filter(|(_, rests)| **rests) {
+        given.lattice.clear(&mut cells, block);
+    }
+    let near = mask::dilated(&cells, context.config.labels.reach_px.div_ceil(CELL_PX));
+    let reaches = context.config.labels.reach_px > 0;
+    let in_use = (0..frame.len()).map(|i| {
+        let is_near = reaches && label_at(&near, &frame.px[i]) == Label::Dynamic;
+        label[i] == Label::Static && (!is_near || restored.binary_search(&i).is_ok())
+    });
+    let labels = FrameLabels {
+        in_use: in_use.collect(),
+        restored: restored_landmarks(context, given.map, frame, &restored),
+        label,
+        cells,
+    };
+    recorder.record("masks", |record| record.labels(&labels));
+    labels
+}
+
+/// Which suspects the flow check finds at rest; none without an earlier image.
+fn rests(
+    context: &Context,
+    pyramid: Option<&LkPyramid>,
+    references: &[ReferenceImage<'_>],
+    samples: &[Sample],
+    suspected: &[bool],
+    recorder: &mut Recorder,
+) -> Vec<bool> {
+    let off = |r: &&ReferenceImage<'_>| r.age_frames.abs_diff(context.config.labels.rest_frames);
+    match (pyramid, references.iter().min_by_key(off)) {
+        (Some(pyramid), Some(reference)) => {
+            at_rest(context, pyramid, *reference, samples, suspected, recorder)
+        }
+        _ => vec![false; samples.len()],
+    }
+}
+
+/// The dynamic landmarks that restored keypoints show: of those that project near a keypoint, the one whose
+/// descriptor is nearest to its own.
+fn restored_landmarks(
+    context: &Context,
+    map: &Map,
+    frame: &Frame,
+    restored: &[usize],
+) -> Vec<LandmarkId> {
+    let (camera, config) = (&context.camera, &context.config.tracking);
+    let dynamic = map.landmarks().filter(|(_, l)| l.label() == Label::Dynamic);
+    let seen = dynamic.filter_map(|(id, landmark)| {
+        let uv_px = camera.project(&(frame.camera_from_world * landmark.p_world))?;
+        camera.contains(&uv_px).then_some((id, landmark, uv_px))
+    });
+    let seen: Vec<_> = seen.collect();
+    let shown = |&i: &usize| {
+        let scale = context.scales[usize::from(frame.keypoints[i].level)];
+        let radius_px = config.local_radius_px * scale;
+        let near = seen
+            .iter()
+            .filter(|(_, _, uv_px)| (uv_px - frame.uv_px[i]).norm() < radius_px);
+        let distances = near.map(|(id, landmark, _)| {
+            let distance = landmark.descriptor.distance(&frame.descriptors[i]);
+            (distance, *id)
+        });
+        let nearest = distances.min();
+        nearest.filter(|(distance, _)| *distance <= config.match_distance)
+    };
+    let mut landmarks: Vec<LandmarkId> =
+        restored.iter().filter_map(shown).map(|(_, l)| l).collect();
+    landmarks.sort_unstable();
+    landmarks.dedup();
+    landmarks
+}
