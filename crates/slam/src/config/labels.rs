@@ -52,6 +52,8 @@ pub struct LabelConfig {
     /// When the mask is interpolated, samples whose depth differs by more than this share belong to
     /// another object.
     pub edge_ratio: f64,
+    /// Label Gaussians, too. Off: all of them are static, and none is removed by its label.
+    pub map: bool,
     /// What decides the label of a tagged Gaussian.
     pub tagged: TaggedLabels,
     /// The retention window (eq. 7).
@@ -154,6 +156,7 @@ impl Default for LabelConfig {
             max_moving: 0.9,
             rest_frames: 10,
             edge_ratio: 0.04,
+            map: true,
             tagged: TaggedLabels::Evidence,
             window: LabelWindowConfig::default(),
             patch_motion: PatchMotionConfig::default(),
