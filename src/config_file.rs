@@ -1,4 +1,4 @@
-//! `config.toml`: read with the line of every mistake, written as used.
+//! `config.toml` and its layers: read with the line of every mistake, written as used.
 
 use std::path::Path;
 
@@ -6,38 +6,62 @@ use anyhow::{Context, Result, anyhow};
 use garad_slam::Config;
 use garad_slam::config::RENAMED_KEYS;
 
-/// Reads a configuration; tables and keys that are not given keep their defaults.
-///
-/// # Errors
-/// A file that cannot be read, a key that does not exist, a value of the wrong kind (with its
-/// line), or a value outside its range.
-pub fn read(path: &Path) -> Result<Config> {
-    let text = std::fs::read_to_string(path)
-        .with_context(|| format!("{}: cannot read the configuration", path.display()))?;
-    let config = match override_defaults(&text) {
-        Some(config) => config,
-        // Invalid: only parsing the text itself tells the line.
-        None => toml::from_str(&text).map_err(|error: toml::de::Error| {
-            let line = line_of(&text, error.span().map_or(0, |span| span.start));
-            anyhow!("{}:{line}: {}", path.display(), error.message())
-        })?,
-    };
-    config
-        .validate()
-        .with_context(|| path.display().to_string())?;
-    Ok(config)
+/// Some keys of a configuration, as TOML.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Layer {
+    /// Where they come from, for messages: a file, or a profile.
+    pub name: String,
+    /// Tables and keys.
+    pub text: String,
 }
 
-/// The defaults, overridden by the keys of `text` at any depth. Serde alone would fill a nested table
-/// with that table's own defaults instead of the pipeline's.
-fn override_defaults(text: &str) -> Option<Config> {
-    let mut config = toml::Table::try_from(Config::default()).ok()?;
-    let mut given = text.parse().ok()?;
-    for (old, new) in RENAMED_KEYS {
-        rename(&mut given, old, new);
+impl Layer {
+    /// The text of a file.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn read(path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        let text = std::fs::read_to_string(path)
+            .with_context(|| format!("{name}: cannot read the configuration"))?;
+        Ok(Self { name, text })
     }
-    override_table(&mut config, given);
-    config.try_into().ok()
+}
+
+/// The defaults, overridden by each layer in turn; tables and keys that a layer does not name stay as they
+/// are.
+///
+/// # Errors
+/// A key that does not exist, a value of the wrong kind (with its line), or a value outside its range.
+pub fn layered(layers: &[Layer]) -> Result<Config> {
+    layers.iter().try_fold(Config::default(), |below, layer| {
+        let config = overridden(&below, layer)?;
+        config.validate().with_context(|| layer.name.clone())?;
+        Ok(config)
+    })
+}
+
+/// `below`, overridden by the keys of a layer at any depth. Serde alone would fill a nested table with that
+/// table's own defaults instead of those below.
+fn overridden(below: &Config, layer: &Layer) -> Result<Config> {
+    let Layer { name, text } = layer;
+    let merge = || -> Option<Config> {
+        let mut config = toml::Table::try_from(below).ok()?;
+        let mut given = text.parse().ok()?;
+        for (old, new) in RENAMED_KEYS {
+            rename(&mut given, old, new);
+        }
+        override_table(&mut config, given);
+        config.try_into().ok()
+    };
+    match merge() {
+        Some(config) => Ok(config),
+        // Invalid: only parsing the text itself tells the line.
+        None => toml::from_str(text).map_err(|error: toml::de::Error| {
+            let line = line_of(text, error.span().map_or(0, |span| span.start));
+            anyhow!("{name}:{line}: {}", error.message())
+        }),
+    }
 }
 
 /// Moves a value to its key of today, unless that is given, too.
@@ -96,7 +120,32 @@ mod tests {
         let dir = tempfile::tempdir()?;
         let path = dir.path().join("config.toml");
         std::fs::write(&path, text)?;
-        read(&path)
+        layered(&[Layer::read(&path)?])
+    }
+
+    #[test]
+    fn a_layer_overrides_those_below_key_by_key() {
+        let layer = |name: &str, text: &str| Layer {
+            name: name.to_owned(),
+            text: text.to_owned(),
+        };
+        let low = layer(
+            "low",
+            "[crf.kernels]\nsigma_m = 0.3\nsigma_px = 9.0\n[flow]\nenabled = false\n",
+        );
+        let high = layer("high", "[crf.kernels]\nsigma_m = 0.4\n");
+        let mut expected = Config::default();
+        expected.crf.kernels.sigma_m = 0.4;
+        expected.crf.kernels.sigma_px = 9.0;
+        expected.flow.enabled = false;
+        let config = layered(&[low.clone(), high]).expect("valid");
+        assert_eq!(config, expected, "the last one that names a key");
+        let wrong = layer("high", "\n[flow]\nenabled = 3\n");
+        let error = layered(&[low.clone(), wrong]).expect_err("not a boolean");
+        assert!(error.to_string().starts_with("high:3: "), "{error}");
+        let range = layer("high", "[flow]\nchi2 = -1.0\n");
+        let error = format!("{:#}", layered(&[low, range]).expect_err("negative"));
+        assert!(error.starts_with("high: "), "{error}");
     }
 
     #[test]

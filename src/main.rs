@@ -21,8 +21,12 @@ enum Command {
     Demo(commands::demo::Args),
     /// Track a TUM or BONN recording (folder, .tgz or .zip) and build its map.
     Run(commands::run::Args),
+    /// Run a recording with several profiles, and print the results side by side.
+    Compare(commands::compare::Args),
     /// Run a recording with and without each part, and print the results side by side.
     Ablate(commands::ablate::Args),
+    /// List the profiles, or print one.
+    Profiles(commands::profiles::Args),
     /// Evaluate results.
     #[command(subcommand)]
     Eval(commands::eval::Command),
@@ -52,6 +56,8 @@ fn main() -> ExitCode {
     let outcome = match cli.command {
         Command::Demo(args) => commands::demo::run(&args),
         Command::Run(args) => commands::run::run(&args),
+        Command::Compare(args) => commands::compare::run(&args),
+        Command::Profiles(args) => commands::profiles::run(&args),
         Command::Ablate(args) => commands::ablate::run(&args),
         Command::Eval(command) => commands::eval::run(&command),
         Command::Render(args) => commands::render::run(&args),

@@ -9,10 +9,12 @@ use garad::source::SourceFrame;
 use garad_core::Par;
 use garad_synth::{Scene, SceneConfig, SceneName};
 
-use super::{CommonArgs, say};
+use super::{CommonArgs, ProfileArgs, say};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
+    #[command(flatten)]
+    profile: ProfileArgs,
     #[command(flatten)]
     common: CommonArgs,
     /// Which scene; `garad synth --help` lists them.
@@ -32,9 +34,10 @@ const REFINE: usize = 120;
 const AHEAD: usize = 2;
 
 pub(crate) fn run(args: &Args) -> Result<()> {
-    let mut options = args.common.run_options(false)?;
-    if args.common.refine.is_none() && args.common.pipeline.config.is_none() {
-        options.config.train.final_iterations = REFINE;
+    let mut options = args.common.run_options(args.profile.get(), false)?;
+    let iterations = &mut options.config.train.final_iterations;
+    if args.common.refine.is_none() && args.common.pipeline.config.is_none() && *iterations == 0 {
+        *iterations = REFINE;
     }
     let scene = Scene::new(&SceneConfig {
         frames: args.frames,

@@ -116,6 +116,14 @@ pub(crate) fn times(dataset: &Dataset, n: usize) -> Vec<f64> {
     (0..n).filter_map(|i| dataset.timestamp(i)).collect()
 }
 
+/// What the ground truth of a recording is of.
+pub(crate) fn raw_protocol(dataset: &Dataset) -> &'static str {
+    match dataset.preset() {
+        Some(Preset::Bonn) => "raw ground truth (marker)",
+        _ => "raw ground truth",
+    }
+}
+
 /// A folder of masks.
 #[derive(Debug)]
 pub(crate) enum Masks {

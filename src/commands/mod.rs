@@ -1,15 +1,18 @@
 //! One file per command.
 
 pub(crate) mod ablate;
+pub(crate) mod compare;
 pub(crate) mod demo;
 pub(crate) mod eval;
 pub(crate) mod eval_render;
 pub(crate) mod golden;
 pub(crate) mod input;
+pub(crate) mod profiles;
 pub(crate) mod render;
 pub(crate) mod run;
 pub(crate) mod synth;
 pub(crate) mod trace;
+mod variants;
 
 use std::io::{self, ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
@@ -17,7 +20,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
+use garad::config_file::{self, Layer};
 pub(crate) use garad::output::make_folder;
+use garad::profiles::Profile;
 use garad::run::RunOptions;
 use garad_core::StampedPose;
 
@@ -40,19 +45,38 @@ pub(crate) struct PipelineArgs {
     /// Seed of everything random.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,
-    /// Configuration file; keys that are not given keep their defaults.
+    /// Configuration file; keys that are not given keep their defaults, or the profile's values.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
 }
 
+/// The profile of commands that run one.
+#[derive(Debug, Args)]
+pub(crate) struct ProfileArgs {
+    /// Start from this profile instead of the defaults; `garad profiles` lists them.
+    #[arg(long, value_name = "NAME", value_parser = Profile::find)]
+    profile: Option<&'static Profile>,
+}
+
+impl ProfileArgs {
+    pub(crate) fn get(&self) -> Option<&'static Profile> {
+        self.profile
+    }
+}
+
 impl PipelineArgs {
-    /// Options of the run.
-    pub(crate) fn run_options(&self, strict: bool) -> Result<RunOptions> {
+    /// Options of the run: the defaults, overridden by the profile, and that by the configuration file.
+    pub(crate) fn run_options(
+        &self,
+        profile: Option<&Profile>,
+        strict: bool,
+    ) -> Result<RunOptions> {
+        let mut layers: Vec<Layer> = profile.map(Profile::layer).into_iter().collect();
+        if let Some(path) = &self.config {
+            layers.push(Layer::read(path)?);
+        }
         Ok(RunOptions {
-            config: match &self.config {
-                Some(path) => garad::config_file::read(path)?,
-                None => garad_slam::Config::default(),
-            },
+            config: config_file::layered(&layers)?,
             threads: self.work.threads,
             seed: self.seed,
             strict,
@@ -61,7 +85,7 @@ impl PipelineArgs {
     }
 }
 
-/// Options shared by `run`, `demo` and `ablate`.
+/// Options shared by `run`, `demo`, `compare` and `ablate`.
 #[derive(Debug, Args)]
 pub(crate) struct CommonArgs {
     /// Folder for the results.
@@ -79,11 +103,21 @@ pub(crate) struct CommonArgs {
 
 /// Parts that can be left out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "snake_case")]
 pub(crate) enum Part {
-    /// No labels: everything counts as static.
+    /// No labels: everything counts as static, as in the row of that name of Table III, which has the
+    /// figures of Photo-SLAM.
     Crf,
+    /// No edges of the field: each label by its own evidence alone.
+    Pairwise,
     /// Labels of the CRF are not checked by optical flow.
     Flow,
+    /// Labels of keypoints alone (Table III, w/o Mapping): the map is made of everything.
+    MapLabels,
+    /// No penalty on dynamic Gaussians.
+    Penalty,
+    /// Dynamic Gaussians are removed at once.
+    Retention,
     /// No map of Gaussians.
     Mapping,
     /// No loop closing.
@@ -91,10 +125,27 @@ pub(crate) enum Part {
 }
 
 impl Part {
+    /// As on the command line.
+    pub(crate) fn name(self) -> String {
+        let value = self.to_possible_value();
+        value.map_or_else(String::new, |value| value.get_name().to_owned())
+    }
+
     pub(crate) fn leave_out(self, config: &mut garad_slam::Config) {
         match self {
             Self::Crf => config.labels.enabled = false,
+            Self::Pairwise => {
+                config.crf.kernels.feature_weight = 0.0;
+                config.crf.kernels.position_weight = 0.0;
+            }
             Self::Flow => config.flow.enabled = false,
+            Self::MapLabels => {
+                config.labels.map = false;
+                config.insertion.avoid_moving = false;
+                config.train.exclude_moving = false;
+            }
+            Self::Penalty => config.train.lambda_dynamic = 0.0,
+            Self::Retention => config.labels.window.runs = 1,
             Self::Mapping => config.insertion.enabled = false,
             Self::Loops => config.loops.enabled = false,
         }
@@ -122,8 +173,12 @@ impl CommonArgs {
     }
 
     /// Options of the run.
-    pub(crate) fn run_options(&self, strict: bool) -> Result<RunOptions> {
-        let mut options = self.pipeline.run_options(strict)?;
+    pub(crate) fn run_options(
+        &self,
+        profile: Option<&Profile>,
+        strict: bool,
+    ) -> Result<RunOptions> {
+        let mut options = self.pipeline.run_options(profile, strict)?;
         if let Some(iterations) = self.refine {
             options.config.train.final_iterations = iterations;
         }

@@ -12,13 +12,15 @@ use garad::session;
 use garad_core::Par;
 use garad_dataset::{Dataset, Preset, bonn_camera_from_marker};
 
-use super::input::{InputArgs, Masks, frames, frames_from, recording, times};
-use super::{CommonArgs, say};
+use super::input::{InputArgs, Masks, frames, frames_from, raw_protocol, recording, times};
+use super::{CommonArgs, ProfileArgs, say};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Folder, .tgz, .tar or .zip in TUM or BONN layout.
     dataset: PathBuf,
+    #[command(flatten)]
+    profile: ProfileArgs,
     #[command(flatten)]
     common: CommonArgs,
     #[command(flatten)]
@@ -41,7 +43,7 @@ pub(crate) struct Args {
     /// Only track, in the finished map of a session, which is not changed. The configuration is the
     /// session's; `frames.csv` lists which frames were tracked.
     #[arg(long, value_name = "DIR", conflicts_with_all = [
-        "resume", "save_session", "config", "without", "refine", "seed", "oracle_labels",
+        "resume", "save_session", "profile", "config", "without", "refine", "seed", "oracle_labels",
     ])]
     localise: Option<PathBuf>,
 }
@@ -58,7 +60,9 @@ enum GroundTruth {
 const SKIPPED_SHOWN: usize = 5;
 
 pub(crate) fn run(args: &Args) -> Result<()> {
-    let run_options = args.common.run_options(args.input.strict)?;
+    let run_options = args
+        .common
+        .run_options(args.profile.get(), args.input.strict)?;
     let dataset = args.input.open(&args.dataset)?;
     if !run_options.quiet {
         say(&format!(
@@ -109,10 +113,9 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     };
     let result = run.finish()?;
 
-    let protocol = match (args.ground_truth, dataset.preset()) {
-        (GroundTruth::Camera, _) => "ground truth moved from marker to camera",
-        (GroundTruth::Raw, Some(Preset::Bonn)) => "raw ground truth (marker)",
-        (GroundTruth::Raw, _) => "raw ground truth",
+    let protocol = match args.ground_truth {
+        GroundTruth::Camera => "ground truth moved from marker to camera",
+        GroundTruth::Raw => raw_protocol(&dataset),
     };
     let mut judged = Judged::new(dataset.name(), &result, ground_truth.as_deref(), protocol);
     if run_options.config.train.final_iterations > 0 {
@@ -124,9 +127,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             Par::new(run_options.threads),
             run_options.quiet,
         )?;
-        judged.metrics.render = quality.all;
-        judged.metrics.render_static = quality.outside_mask;
-        judged.metrics.render_depth = quality.depth;
+        judged.add_render(&quality);
     }
     output::write(&out, &result, &judged, dataset.warnings())?;
     if result.log.stopped_by.is_none() {

@@ -12,7 +12,7 @@ use garad_golden::trace::diff::{Judge, diff};
 use serde_json::json;
 
 use super::input::{InputArgs, Masks, frames};
-use super::{PipelineArgs, make_folder, say};
+use super::{PipelineArgs, ProfileArgs, make_folder, say};
 
 /// Exit code when two traces differ.
 const DIFFER: u8 = 1;
@@ -38,6 +38,8 @@ struct Record {
     /// Folder for the trace.
     #[arg(short = 'o', long = "out", value_name = "DIR", required = true)]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    profile: ProfileArgs,
     #[command(flatten)]
     pipeline: PipelineArgs,
     /// Masks used instead of computed labels, as for `run`.
@@ -93,7 +95,9 @@ fn record(args: &Record) -> Result<()> {
     else {
         bail!("expected a recording, --frames and --out");
     };
-    let options = args.pipeline.run_options(args.input.strict)?;
+    let options = args
+        .pipeline
+        .run_options(args.profile.get(), args.input.strict)?;
     let dataset = args.input.open(path)?;
     if *range.start() as usize >= dataset.len() {
         bail!(

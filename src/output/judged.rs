@@ -3,6 +3,7 @@
 use garad_core::{Label, StampedPose};
 use garad_eval::{Ate, AteOptions, MAX_DT_S, Metrics, RpeOptions, ate, jitter, rpe};
 
+use crate::render_quality::RenderQuality;
 use crate::run::RunResult;
 use crate::usage::peak_resident_mb;
 
@@ -67,6 +68,13 @@ impl Judged {
             ate,
             protocol,
         }
+    }
+
+    /// Adds the figures of the map's renders.
+    pub fn add_render(&mut self, quality: &RenderQuality) {
+        self.metrics.render = quality.all;
+        self.metrics.render_static = quality.outside_mask;
+        self.metrics.render_depth = quality.depth;
     }
 
     /// The figures in a few lines, for the terminal.

@@ -12,6 +12,7 @@
 //! | `pictures/` | input, render, depth and keypoints of a few frames |
 //! | `config.toml` | every number as used |
 
+mod comparison;
 mod judged;
 mod moments;
 mod tables;
@@ -24,6 +25,7 @@ use garad_dataset::{PlyOptions, write_bytes_atomically, write_ply, write_traject
 use garad_eval::report::{FrameState, ReportData};
 use garad_slam::TrackingState;
 
+pub use self::comparison::{Compared, write_comparison};
 pub use self::judged::Judged;
 use self::moments::Moment;
 use crate::images;

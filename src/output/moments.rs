@@ -64,6 +64,11 @@ impl<'a> Moment<'a> {
         images.into_iter().map(named).collect()
     }
 
+    /// What the static part of the map shows, if the frame has a pose.
+    pub(super) fn into_color(self) -> Option<RgbImage> {
+        self.rendered.map(|view| view.color)
+    }
+
     pub(super) fn strip(&self) -> Strip<'_> {
         Strip {
             frame: self.snapshot.frame,

@@ -3,13 +3,14 @@
 //! Reading order: [`mod@associate`] (pairs of poses by time) → [`align`] (the best rigid motion between
 //! two point lists) → [`mod@ate`], [`mod@rpe`] (trajectory errors, as in the papers), [`mod@jitter`] →
 //! [`image_metrics`], [`depth`], [`mod@ghosts`], [`labels`] (images and segmentations) → [`metrics`]
-//! (`metrics.json`) → [`plot`], [`report`] (`report.html`).
+//! (`metrics.json`), [`comparison`] → [`plot`], [`report`] (`report.html`).
 //!
 //! No function here reads a file or a clock.
 
 pub mod align;
 pub mod associate;
 pub mod ate;
+pub mod comparison;
 pub mod depth;
 pub mod error;
 pub mod ghosts;
@@ -25,6 +26,7 @@ pub mod stats;
 pub use align::{Alignment, Sim3, align_points, align_trajectory};
 pub use associate::{MAX_DT_S, associate, nearest_in_time};
 pub use ate::{Ate, AteOptions, AtePoint, ate};
+pub use comparison::{Comparison, Figures, Row};
 pub use depth::{DepthL1, depth_l1};
 pub use error::EvalError;
 pub use ghosts::{GHOST_GAP_M, Ghosts, ghosts};

@@ -44,7 +44,7 @@ fn strip(strip: &Strip<'_>) -> Markup {
     }
 }
 
-fn figure(name: &str, caption: &str, image: &RgbImage) -> Markup {
+pub(super) fn figure(name: &str, caption: &str, image: &RgbImage) -> Markup {
     let (width, height) = image.size();
     html! {
         figure {

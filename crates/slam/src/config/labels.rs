@@ -56,6 +56,8 @@ pub struct LabelConfig {
     pub source: LabelSource,
     /// The depth cue of a landmark.
     pub depth_cue: DepthCue,
+    /// Label Gaussians, too. Off: all of them are static, and none is removed by its label.
+    pub map: bool,
     /// What decides the label of a tagged Gaussian, with `source = "frames"`.
     pub tagged: TaggedLabels,
     /// What decides the label of the other Gaussians, with the other sources.
@@ -227,6 +229,7 @@ impl Default for LabelConfig {
             edge_ratio: 0.04,
             source: LabelSource::Frames,
             depth_cue: DepthCue::FreeSpace,
+            map: true,
             tagged: TaggedLabels::Evidence,
             spread: SpreadConfig::default(),
             mask_opacity: 0.5,

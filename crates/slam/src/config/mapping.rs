@@ -23,6 +23,8 @@ pub struct InsertionConfig {
     pub depth_ratio: f64,
     /// A Gaussian for each new landmark, too, tagged with it.
     pub landmarks: bool,
+    /// No Gaussian from depth where the mask says that something moves, or within one stride of it.
+    pub avoid_moving: bool,
     /// Gaussians at most.
     pub max_gaussians: usize,
 }
@@ -50,6 +52,7 @@ impl Default for InsertionConfig {
             explained_opacity: 0.6,
             depth_ratio: 0.05,
             landmarks: true,
+            avoid_moving: true,
             max_gaussians: 400_000,
         }
     }
@@ -79,6 +82,9 @@ pub struct TrainConfig {
     /// Weight of the depth error, 1/m. The paper has no such term: 0 is its loss. Without it white
     /// walls drift towards the camera (decision 006).
     pub lambda_depth: f64,
+    /// Exclude from the loss what moves: the mask with a border of `labels.dilate_px`, and what
+    /// `labels.mask_freed_space` finds. Off: the whole image, as in the paper.
+    pub exclude_moving: bool,
     /// The optimiser.
     pub optimiser: Optimiser,
     /// Degree that the colours' spherical harmonics may reach, 0 to 3, ...
@@ -121,6 +127,7 @@ impl Default for TrainConfig {
             lambda_dynamic: 0.2,
             lambda_ssim: 0.2,
             lambda_depth: 0.2,
+            exclude_moving: true,
             optimiser: Optimiser::Adam,
             sh_degree: 3,
             sh_every: 1000,

@@ -25,7 +25,7 @@ const TOO_NEAR: f64 = 0.5;
 ///
 /// Standard deviation: `footprint` times the distance between neighbouring samples,
 /// stride · z / f (`insertion.scale = "neighbours"` replaces it). Pixels that move, and those within
-/// one stride of them, make no Gaussian. Nor do those within half a stride of a Gaussian of the same surface: one that exists and does not fill its pixel
+/// one stride of them, make no Gaussian (`insertion.avoid_moving`). Nor do those within half a stride of a Gaussian of the same surface: one that exists and does not fill its pixel
 /// is to be trained, not doubled.
 ///
 /// # Errors
@@ -41,11 +41,11 @@ pub fn insert_depth_samples(
     let options = RenderOptions::default();
     let rendered = fast::render(map, &small, camera_from_world, &options, context.par)?;
     let stride = config.stride_px;
+    let mask = job.mask.as_ref().filter(|_| config.avoid_moving);
     let (mut pixels, mut places) = (Vec::new(), Vec::new());
     for y in (stride / 2..job.depth.height()).step_by(stride) {
         for x in (stride / 2..job.depth.width()).step_by(stride) {
             let z_m = f64::from(job.depth[(x, y)]);
-            let mask = job.mask.as_ref();
             let moves = mask.is_some_and(|m| moving_near(m, x, y, stride));
             if !(z_m > 0.0 && z_m <= context.config.features.max_depth_m) || moves {
                 continue;
@@ -265,8 +265,12 @@ mod tests {
     }
 
     fn context() -> Context {
+        context_of(Config::default())
+    }
+
+    fn context_of(config: Config) -> Context {
         let camera = Camera::pinhole((64, 48), [60.0, 60.0, 31.5, 23.5]).expect("valid");
-        Context::new(camera, Config::default(), 0, Par::Seq).expect("valid")
+        Context::new(camera, config, 0, Par::Seq).expect("valid")
     }
 
     /// A keyframe in front of a wall.
@@ -471,5 +475,12 @@ mod tests {
             "right half, one stride away from the moving part"
         );
         assert_eq!(seed(&mut map, f32::NAN, None), 0, "no depth");
+
+        let mut config = Config::default();
+        config.insertion.avoid_moving = false;
+        let (mut map, job) = (GaussianMap::new(0), job(0, 2.0, Some(mask)));
+        let inserted = insert_depth_samples(&context_of(config), &mut map, &job, &Se3::identity());
+        inserted.expect("rendered");
+        assert_eq!(map.len(), 16 * 12, "the mask is not asked");
     }
 }

@@ -116,7 +116,8 @@ impl Mapper {
         self.extent_m = extent_m(&self.poses);
         apply_loop_correction(&mut self.gaussians, &job.moved);
         observer.begin(Stage::Relabel);
-        let by_field = self.context.config.labels.source.has_gaussians();
+        let labels = &self.context.config.labels;
+        let by_field = labels.map && labels.source.has_gaussians();
         let (relabelled, voters, mut feedback) = match by_field {
             true => self.relabel_by_field(&job),
             false => (self.relabel(&job), Vec::new(), MapFeedback::default()),
@@ -258,13 +259,14 @@ impl Mapper {
 
     /// Labels the Gaussians, and drops those that were dynamic for a whole window (eq. 7).
     ///
-    /// A keyframe without a mask in cells speaks of landmarks alone, and only where these decide.
+    /// A keyframe without a mask in cells speaks of landmarks alone, and only where these decide. With
+    /// `labels.map` off there is nothing to do.
     fn relabel(&mut self, job: &MappingJob) -> Relabelled {
         let Context { camera, config, .. } = &self.context;
         let pose = self.poses[job.keyframe.index()];
         let free_space = self.free_space(job);
         let by_landmarks = config.labels.tagged == TaggedLabels::Landmark;
-        if free_space.is_none() && !by_landmarks {
+        if !config.labels.map || (free_space.is_none() && !by_landmarks) {
             return Relabelled::default();
         }
         let windows = self.trainer.windows(&self.gaussians);
@@ -339,10 +341,12 @@ impl Mapper {
         }
         let mask_is_given = job.mask.is_some() && job.cells.is_none();
         let max_depth_m = config.features.max_depth_m;
-        let view_depth = (labels.enabled && labels.mask_freed_space && !mask_is_given)
+        let finds_freed = labels.enabled && labels.mask_freed_space && train.exclude_moving;
+        let view_depth = (finds_freed && !mask_is_given)
             .then(|| ViewDepth::new(job.frame, &job.depth, camera, max_depth_m));
         let depth = (train.lambda_depth > 0.0).then_some(job.depth);
-        let (mask, dilate_px) = (job.mask.as_ref(), labels.dilate_px);
+        let mask = job.mask.as_ref().filter(|_| train.exclude_moving);
+        let dilate_px = labels.dilate_px;
         let view = TrainingView::new(job.keyframe, job.rgb, depth, mask, dilate_px);
         self.trainer.add_view(view.with_view_depth(view_depth));
         self.trainer.thin_views(train.max_views, &self.poses);
@@ -439,4 +443,63 @@ fn extent_m(camera_from_world: &[Se3]) -> f64 {
         .map(|c| (c - mean).norm())
         .fold(0.0, f64::max);
     (1.1 * radius).max(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use garad_core::{Camera, DepthImage, FrameId, KeyframeId, MaskImage, Par, RgbImage};
+
+    use super::*;
+    use crate::config::Config;
+    use crate::mask::MOVING;
+    use crate::observer::Silent;
+
+    /// The second of two keyframes in front of a wall, all of which moves, and the map after it.
+    fn second_of_two(config: &Config) -> (MappingDone, GaussianMap) {
+        let camera = Camera::pinhole((32, 24), [30.0, 30.0, 15.5, 11.5]).expect("valid");
+        let context = Context::new(camera, config.clone(), 0, Par::Seq).expect("valid");
+        let mut mapper = Mapper::new(&context).expect("valid");
+        let job = |k: u32| MappingJob {
+            keyframe: KeyframeId(k),
+            frame: FrameId(10 * k),
+            rgb: RgbImage::from_fn(32, 24, |x, _| [if x % 2 == 0 { 200 } else { 20 }; 3]),
+            depth: DepthImage::new(32, 24, 2.0),
+            mask: Some(MaskImage::new(32, 24, MOVING)),
+            cells: Some(MaskImage::new(8, 6, MOVING)),
+            labels: Vec::new(),
+            cues: Vec::new(),
+            restored: Vec::new(),
+            moved: Vec::new(),
+            poses: vec![Se3::identity(); k as usize + 1],
+            new_landmarks: Vec::new(),
+            living: Vec::new(),
+            iterations: 2,
+        };
+        mapper.run(job(0), &mut Silent);
+        let done = mapper.run(job(1), &mut Silent);
+        (done, mapper.gaussians)
+    }
+
+    /// The settings behind "without map labels": each turns off one use of labels in the map.
+    #[test]
+    fn the_map_can_be_made_without_labels() {
+        let mut config = Config::default();
+        let (_, map) = second_of_two(&config);
+        assert_eq!(map.len(), 0, "nothing is at rest");
+
+        config.insertion.avoid_moving = false;
+        config.train.lambda_dynamic = 0.0;
+        let (masked, _) = second_of_two(&config);
+        assert!(masked.gaussians >= 48, "8 x 6 samples: {masked:?}");
+        assert!(masked.dynamic >= 48, "of the mask: {masked:?}");
+        assert!(masked.loss.is_none_or(|l| l <= 0.0), "no pixel: {masked:?}");
+
+        config.train.exclude_moving = false;
+        let (whole, _) = second_of_two(&config);
+        assert!(whole.loss.is_some_and(|l| l > 0.01), "stripes: {whole:?}");
+
+        config.labels.map = false;
+        let (unlabelled, _) = second_of_two(&config);
+        assert_eq!(unlabelled.dynamic, 0, "{unlabelled:?}");
+    }
 }

@@ -1,0 +1,104 @@
+//! One recording run several times, for `compare` and `ablate`.
+
+use std::path::Path;
+
+use anyhow::{Result, bail};
+use garad::output::{self, Compared, Judged};
+use garad::progress::note;
+use garad::render_quality;
+use garad::run::{self, RunOptions};
+use garad::usage::processor_ms;
+use garad_core::Par;
+use garad_dataset::Dataset;
+use garad_eval::{AteOptions, Comparison, Row};
+
+use super::input::{Masks, frames, raw_protocol};
+use super::{make_folder, say};
+
+/// A run to be compared with others.
+#[derive(Debug)]
+pub(crate) struct Variant {
+    /// Name of its row; with `_` for spaces, that of its folder.
+    pub(crate) name: String,
+    pub(crate) options: RunOptions,
+}
+
+/// How the columns were measured.
+const MEASURED: &str = "Render and ghosts: the static Gaussians from the estimated poses of all frames. \
+                        CPU: all threads, decoding and training included.";
+
+/// The table that belongs to some variants.
+#[derive(Debug)]
+pub(crate) struct Table {
+    /// Name of its files.
+    pub(crate) stem: &'static str,
+    /// Rows of others.
+    pub(crate) published: Vec<Row>,
+    /// What else is to be said.
+    pub(crate) notes: Vec<String>,
+}
+
+/// Runs every variant, its results to OUT/NAME, and writes the table. A variant that fails is a row with the
+/// reason.
+pub(crate) fn compare(
+    dataset: &Dataset,
+    variants: &[Variant],
+    table: Table,
+    out: &Path,
+) -> Result<()> {
+    for warning in dataset.warnings() {
+        note(&format!("warning: {warning}"));
+    }
+    let mut compared = Vec::new();
+    for (i, Variant { name, options }) in variants.iter().enumerate() {
+        if !options.quiet {
+            note(&format!("{name} ({} of {})", i + 1, variants.len()));
+        }
+        let one = run_one(dataset, name, options, out);
+        compared.push(one.unwrap_or_else(|error| Compared::failed(name, &error)));
+    }
+    let mut notes = vec![MEASURED.to_owned()];
+    if dataset.ground_truth().is_some() {
+        let how = AteOptions::default().describe();
+        notes.insert(0, format!("ATE: {how}, {}.", raw_protocol(dataset)));
+    }
+    notes.extend(table.notes);
+    let comparison = Comparison {
+        recording: dataset.name().to_owned(),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        rows: compared.iter().map(|run| run.row.clone()).collect(),
+        published: table.published,
+        notes,
+    };
+    output::write_comparison(out, table.stem, &comparison, &compared)?;
+    say(comparison.markdown().trim_end())?;
+    say(&format!("results in {}", out.display()))?;
+    if compared
+        .iter()
+        .all(|run| run.row.figures.tracked.unwrap_or(0) == 0)
+    {
+        bail!("no run has tracked a frame; the table has the reasons");
+    }
+    Ok(())
+}
+
+fn run_one(dataset: &Dataset, name: &str, options: &RunOptions, out: &Path) -> Result<Compared> {
+    let folder = out.join(name.replace(' ', "_"));
+    make_folder(&folder)?;
+    let truth = Masks::of_recording(dataset);
+    let camera = &dataset.calibration().camera;
+    let input = || frames(dataset, None, truth.as_ref());
+    let before_ms = processor_ms();
+    let result = run::run(camera, input(), dataset.len(), options)?;
+    let spent_ms = before_ms.zip(processor_ms()).map(|(a, b)| b - a);
+    let ground_truth = dataset.ground_truth();
+    let mut judged = Judged::new(dataset.name(), &result, ground_truth, raw_protocol(dataset));
+    if !result.gaussians().is_empty() {
+        let (map, path) = (result.gaussians(), &result.trajectory);
+        let par = Par::new(options.threads);
+        let quality = render_quality::judge(map, camera, path, input(), par, options.quiet)?;
+        judged.add_render(&quality);
+    }
+    output::write(&folder, &result, &judged, dataset.warnings())?;
+    Compared::new(name, &result, &judged, spent_ms)
+}
