@@ -16,7 +16,8 @@ use serde::{Deserialize, Serialize};
 
 pub use keyframing::{CullingConfig, KeyframeConfig, LocalBaConfig, LoopConfig, TwoViewConfig};
 pub use labels::{
-    DepthCue, LabelConfig, LabelSource, PatchMotionConfig, SpreadConfig, TaggedLabels,
+    DepthCue, GaussianMaskConfig, LabelConfig, LabelSource, PatchMotionConfig, SpreadConfig,
+    TaggedLabels,
 };
 pub use mapping::{
     DensifyConfig, InitialScale, InsertionConfig, Optimiser, RateConfig, ScheduleConfig,

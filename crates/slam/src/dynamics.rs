@@ -52,8 +52,7 @@ use self::field::label_samples;
 use self::free_space::FreeSpace;
 use self::gaussian_mask::{CellCentres, MaskLabelling, label_by_mask};
 use self::landmarks::{
-    LandmarkCues, LandmarkLabel, TaggedLabel, label_landmarks, local_cues, restore_landmarks,
-    take_labels_of_gaussians,
+    LandmarkCues, LandmarkLabel, TaggedLabel, label_landmarks, local_cues, take_labels_of_gaussians,
 };
 use self::past::{PastView, reference_images};
 use self::samples::{FrameView, Lattice};
@@ -82,8 +81,8 @@ pub struct Dynamics {
     pub(crate) future: Vec<FutureView>,
     /// The dynamic Gaussians, as last handed over; empty before.
     dynamic_gaussians: GaussianMap,
-    /// Landmarks that the flow check found at rest, with the frame in which it did.
-    restored: Vec<(LandmarkId, FrameId)>,
+    /// Landmarks that the flow check found at rest since the last mapping job.
+    restored: BTreeSet<LandmarkId>,
     centres: CellCentres,
 }
 
@@ -113,7 +112,7 @@ impl Dynamics {
             bootstrap: restarts.then(BootstrapBuffer::default),
             future: Vec::new(),
             dynamic_gaussians: GaussianMap::new(0),
-            restored: Vec::new(),
+            restored: BTreeSet::new(),
             centres: CellCentres::new(&context.camera),
         })
     }
@@ -173,38 +172,24 @@ impl Dynamics {
         })
     }
 
-    /// Landmarks that a frame's labels restored: static again, and so will their Gaussians be.
-    pub(crate) fn restore(
-        &mut self,
-        context: &Context,
-        map: &mut Map,
-        frame: FrameId,
-        restored: &[LandmarkId],
-    ) {
-        restore_landmarks(context, map, restored);
-        self.restored.extend(restored.iter().map(|id| (*id, frame)));
+    /// Keeps the landmarks that a frame's labels restored for the next mapping job.
+    pub(crate) fn restore(&mut self, restored: &[LandmarkId]) {
+        self.restored.extend(restored);
     }
 
-    /// The landmarks restored after the frame of the keyframe before, ascending.
-    pub(crate) fn restored_since(&self, before: FrameId) -> Vec<LandmarkId> {
-        let since = self.restored.iter().filter(|(_, frame)| *frame > before);
-        let ids: BTreeSet<LandmarkId> = since.map(|(id, _)| *id).collect();
-        ids.into_iter().collect()
+    /// The landmarks restored since the last mapping job.
+    pub(crate) fn take_restored(&mut self) -> BTreeSet<LandmarkId> {
+        std::mem::take(&mut self.restored)
     }
 
-    /// Takes over what the map found in the job of a frame: labels of landmarks, and the dynamic Gaussians. A
-    /// landmark that was restored after that frame stays static; its Gaussian follows in the next job.
+    /// Takes over what a mapping job found: the labels of landmarks, and the dynamic Gaussians.
     pub(crate) fn take_feedback(
         &mut self,
         context: &Context,
         map: &mut Map,
-        frame: FrameId,
         labels: &[TaggedLabel],
         dynamic: Option<GaussianMap>,
     ) {
-        self.restored.retain(|(_, at)| *at > frame);
-        let is_newer = |id: LandmarkId| self.restored.iter().any(|(restored, _)| *restored == id);
-        let labels = labels.iter().filter(|l| !is_newer(l.id)).copied();
         take_labels_of_gaussians(context, map, labels);
         self.dynamic_gaussians = dynamic.unwrap_or_else(|| GaussianMap::new(0));
     }
@@ -360,7 +345,7 @@ impl Dynamics {
             bootstrap: None,
             future,
             dynamic_gaussians: GaussianMap::new(0),
-            restored: Vec::new(),
+            restored: BTreeSet::new(),
             centres: self.centres.clone(),
         };
         let moving = by_future_alone.moving_share(context, &buffer, map, recorder);

@@ -4,7 +4,7 @@ pub(crate) mod depth_planes;
 pub(crate) mod depth_time;
 pub mod extract;
 mod grid;
-mod keypoint_depth;
+pub(crate) mod keypoint_depth;
 mod levels;
 
 use garad_core::{Camera, DepthImage, FrameId, Label, LandmarkId, MaskImage, RollingShutter, Se3};

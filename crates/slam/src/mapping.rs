@@ -134,12 +134,11 @@ impl Mapping {
         self.due.front().is_some_and(|due| *due <= frame)
     }
 
-    /// Hands over the oldest job, waited for if need be: its frame, and what the map gives back. `None` if there
-    /// is none.
+    /// Hands over the oldest job, waited for if need be: what the map gives back. `None` if there is none.
     ///
     /// # Errors
     /// [`SlamError::MappingLost`].
-    pub(crate) fn hand_over(&mut self) -> Result<Option<(FrameId, MapFeedback)>, SlamError> {
+    pub(crate) fn hand_over(&mut self) -> Result<Option<MapFeedback>, SlamError> {
         if self.due.pop_front().is_none() {
             return Ok(None);
         }
@@ -155,18 +154,21 @@ impl Mapping {
             "mapped"
         );
         let feedback = std::mem::take(&mut done.feedback);
-        let frame = done.frame;
         self.done.push(done);
-        Ok(Some((frame, feedback)))
+        Ok(Some(feedback))
     }
 
-    /// Hands over every job and brings the mapper to rest in this thread.
+    /// Hands over every job and brings the mapper to rest in this thread. Returns what the map gives back, oldest first.
     ///
     /// # Errors
     /// [`SlamError::MappingLost`].
-    pub(crate) fn finish(&mut self) -> Result<(), SlamError> {
-        while self.hand_over()?.is_some() {}
-        self.worker.join()
+    pub(crate) fn finish(&mut self) -> Result<Vec<MapFeedback>, SlamError> {
+        let mut feedback = Vec::new();
+        while let Some(next) = self.hand_over()? {
+            feedback.push(next);
+        }
+        self.worker.join()?;
+        Ok(feedback)
     }
 
     /// Finishes every job and brings the mapper to rest in this thread, but hands nothing over: the
@@ -216,6 +218,8 @@ impl Mapping {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use garad_core::{Camera, DepthImage, KeyframeId, Par, RgbImage, Se3};
 
     use super::*;
@@ -231,7 +235,7 @@ mod tests {
             cells: None,
             labels: Vec::new(),
             cues: Vec::new(),
-            restored: Vec::new(),
+            restored: BTreeSet::new(),
             moved: Vec::new(),
             poses: vec![Se3::identity(); keyframe as usize + 1],
             new_landmarks: Vec::new(),

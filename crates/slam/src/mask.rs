@@ -1,6 +1,9 @@
 //! Masks of what moves (255 moving, 0 static, 128 unknown): dilation, halving, cells.
 
 use garad_core::MaskImage;
+use nalgebra::Vector2;
+
+use crate::frame::keypoint_depth::nearest_pixel;
 
 /// Marks a moving pixel.
 pub const MOVING: u8 = 255;
@@ -23,6 +26,11 @@ pub(crate) fn full_size(cells: &MaskImage, (width, height): (usize, usize)) -> M
 pub fn moving_near(mask: &MaskImage, x: usize, y: usize, radius: usize) -> bool {
     let columns = around(x, mask.width(), radius);
     around(y, mask.height(), radius).any(|y| mask.row(y)[columns.clone()].contains(&MOVING))
+}
+
+/// Whether the mask is moving at the pixel nearest to a position.
+pub(crate) fn is_moving_at(mask: &MaskImage, px: &Vector2<f64>) -> bool {
+    nearest_pixel(px, mask.size()).is_some_and(|at| mask[at] == MOVING)
 }
 
 /// [`moving_near`] of every pixel as a mask of 255 and 0: first along rows, then along columns.

@@ -124,8 +124,8 @@ impl Slam {
             observer.begin(Stage::Handover);
             let feedback = self.mapping.hand_over();
             observer.end(Stage::Handover);
-            if let Some((frame, feedback)) = feedback? {
-                self.take_feedback(frame, feedback);
+            if let Some(feedback) = feedback? {
+                self.take_feedback(feedback);
             }
         }
 
@@ -183,14 +183,14 @@ impl Slam {
     }
 
     /// Takes over what the map gives back of a keyframe's job.
-    fn take_feedback(&mut self, frame: FrameId, feedback: MapFeedback) {
+    pub(crate) fn take_feedback(&mut self, feedback: MapFeedback) {
         let MapFeedback {
             labels,
             positions,
             dynamic,
         } = feedback;
         let (context, map) = (&self.context, &mut self.map);
-        (self.dynamics).take_feedback(context, map, frame, &labels, dynamic);
+        (self.dynamics).take_feedback(context, map, &labels, dynamic);
         for (id, p_world) in positions {
             map.set_position(id, p_world, &context.scales);
         }
@@ -299,8 +299,7 @@ impl Slam {
             .label_frame(&self.context, view, &self.map, &mut self.recorder);
         if let Some(labels) = &labels {
             frame.apply_labels(labels, &self.context.camera);
-            let (context, map) = (&self.context, &mut self.map);
-            (self.dynamics).restore(context, map, frame.id, &labels.restored);
+            self.dynamics.restore(&labels.restored);
         }
         observer.end(Stage::Label);
         labels
@@ -357,8 +356,7 @@ impl Slam {
         } = self;
         let config = &context.config;
         let frame_id = frame.id;
-        let before = map.last_keyframe_frame();
-        let since_last = (frame_id.0 - before.0) as usize;
+        let since_last = (frame_id.0 - map.last_keyframe_frame().0) as usize;
         let cells = labels.map(|labels| labels.cells);
         let mask = match &cells {
             Some(cells) => Some(full_size(cells, input.rgb.size())),
@@ -417,7 +415,7 @@ impl Slam {
                 cells,
                 labels,
                 cues,
-                restored: self.dynamics.restored_since(before),
+                restored: self.dynamics.take_restored(),
                 poses: map.keyframe_poses(),
                 moved,
                 new_landmarks: landmarks_first_measured_in(map, id, config.labels.tagged),

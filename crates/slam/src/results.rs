@@ -61,7 +61,10 @@ impl Slam {
     /// # Errors
     /// [`SlamError::MappingLost`].
     pub fn finish(&mut self) -> Result<(), SlamError> {
-        self.mapping.finish()
+        for feedback in self.mapping.finish()? {
+            self.take_feedback(feedback);
+        }
+        Ok(())
     }
 
     /// Trains the map on the keyframes' images for `config.train.final_iterations` iterations, after

@@ -62,8 +62,8 @@ pub struct LabelConfig {
     pub tagged: TaggedLabels,
     /// What decides the label of the other Gaussians, with the other sources.
     pub spread: SpreadConfig,
-    /// Accumulated opacity of the dynamic Gaussians above which a pixel is in the Gaussian mask.
-    pub mask_opacity: f64,
+    /// The mask rendered from the dynamic Gaussians, with the other sources.
+    pub gaussian_mask: GaussianMaskConfig,
     /// The retention window (eq. 7).
     pub window: LabelWindowConfig,
     /// Motion of samples' patches since older images.
@@ -122,6 +122,8 @@ pub struct SpreadConfig {
     pub neighbours: usize,
     /// Distance of a neighbour at most, metres.
     pub radius_m: f64,
+    /// A Gaussian inserted inside the keyframe's mask is dynamic, whatever the vote.
+    pub from_mask: bool,
 }
 
 impl Default for SpreadConfig {
@@ -130,6 +132,32 @@ impl Default for SpreadConfig {
             enabled: true,
             neighbours: 5,
             radius_m: 0.2,
+            from_mask: false,
+        }
+    }
+}
+
+/// The mask rendered from the dynamic Gaussians. The defaults are the mask as the paper has it; the other settings are for
+/// people who have gone on since the Gaussians were made.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GaussianMaskConfig {
+    /// Accumulated opacity above which a pixel is in the mask.
+    pub opacity: f64,
+    /// A keypoint or sample is in the mask only if its depth differs by less than this from the rendered one, metres: behind
+    /// a Gaussian whose surface has gone it is not. 0: depth is not compared.
+    pub depth_m: f64,
+    /// A cell is moving if more than this share of the samples of its surface around is in the mask, and its keypoints
+    /// with it. 0: the rendered mask alone decides.
+    pub surface_share: f64,
+}
+
+impl Default for GaussianMaskConfig {
+    fn default() -> Self {
+        Self {
+            opacity: 0.5,
+            depth_m: 0.0,
+            surface_share: 0.0,
         }
     }
 }
@@ -232,7 +260,7 @@ impl Default for LabelConfig {
             map: true,
             tagged: TaggedLabels::Evidence,
             spread: SpreadConfig::default(),
-            mask_opacity: 0.5,
+            gaussian_mask: GaussianMaskConfig::default(),
             window: LabelWindowConfig::default(),
             patch_motion: PatchMotionConfig::default(),
         }

@@ -91,7 +91,8 @@ pub(crate) fn label_samples(
     }
 
     let (of_keypoints, of_lattice) = beliefs.dynamic.split_at(keypoints.len());
-    let cells = mask_from_beliefs(lattice, &blocks, of_lattice, depth, config);
+    let edge_ratio = config.labels.edge_ratio;
+    let cells = mask_from_beliefs(lattice, &blocks, of_lattice, depth, edge_ratio, threshold);
     let mut label: Vec<Label> = frame.px.iter().map(|px| label_at(&cells, px)).collect();
     // Keypoints crowd where there is texture and support each other there; the lattice is even.
     for ((i, _), belief) in keypoints.iter().zip(of_keypoints) {

@@ -7,15 +7,16 @@
 //!                                        landmarks restored, and their Gaussians at the next job ←─┘
 //! ```
 
-use garad_core::{Camera, GaussianMap, Label, LandmarkId, MaskImage, Real};
+use garad_core::{Camera, GaussianMap, Label, LandmarkId, MaskImage};
 use garad_features::LkPyramid;
-use garad_raster::{RenderOptions, fast};
+use garad_raster::{RenderOptions, Rendered, fast};
 use nalgebra::Vector2;
 
 use super::flow_check::at_rest;
-use super::mask::label_at;
+use super::mask::{label_at, mask_from_beliefs};
 use super::past::ReferenceImage;
 use super::samples::{FrameView, Lattice, Sample, keypoint_samples};
+use crate::config::GaussianMaskConfig;
 use crate::context::Context;
 use crate::frame::{Frame, FrameLabels};
 use crate::map::Map;
@@ -23,36 +24,36 @@ use crate::mapping::coarse_to_fine::TOP_LEVEL;
 use crate::mask::{self, CELL_PX, MOVING};
 use crate::trace::Recorder;
 
-/// The mask at every level of eq. 16, the full image first.
+/// The dynamic Gaussians rendered alone, at every level of eq. 16, the full image first.
 #[derive(Debug)]
-pub(crate) struct GaussianMask {
-    levels: Vec<MaskImage>,
+pub(crate) struct GaussianMask<'a> {
+    config: &'a GaussianMaskConfig,
+    levels: Vec<Rendered<f32>>,
 }
 
-impl GaussianMask {
-    /// 255 where the dynamic Gaussians, rendered alone from the frame's pose, have an accumulated opacity above
-    /// `labels.mask_opacity`.
-    pub(crate) fn render(context: &Context, dynamic: &GaussianMap, frame: &Frame) -> Self {
+impl<'a> GaussianMask<'a> {
+    /// Renders them from the frame's pose.
+    pub(crate) fn render(context: &'a Context, dynamic: &GaussianMap, frame: &Frame) -> Self {
         let options = RenderOptions::default();
-        let least = context.config.labels.mask_opacity.to_f32();
         let level = |level| {
             let camera = context.camera.level(level);
             let pose = &frame.camera_from_world;
-            let rendered = fast::render(dynamic, &camera, pose, &options, context.par)
-                .expect("the Gaussians of a map and a finite pose");
-            let opacity = rendered.opacity;
-            opacity.map(|o| if *o > least { MOVING } else { 0 })
+            fast::render(dynamic, &camera, pose, &options, context.par)
+                .expect("the Gaussians of a map and a finite pose")
         };
         Self {
+            config: &context.config.labels.gaussian_mask,
             levels: (0..=TOP_LEVEL).map(level).collect(),
         }
     }
 
     /// The label at a pixel of the undistorted image, for a keypoint of this scale: it is looked up in the level
-    /// whose scale 2ˡ is nearest to its own, by their ratio.
-    pub(crate) fn label(&self, uv_px: &Vector2<f64>, scale: f64) -> Label {
+    /// whose scale 2ˡ is nearest to its own, by their ratio. Dynamic where the accumulated opacity is above
+    /// `opacity`, and the depth, if it is known and to be compared, is that of the rendered surface.
+    pub(crate) fn label(&self, uv_px: &Vector2<f64>, scale: f64, depth_m: Option<f64>) -> Label {
         let is_past = |level: &usize| scale * scale > 2.0 * f64::from(1u32 << (2 * level));
-        self.at((0..TOP_LEVEL).take_while(is_past).count(), uv_px)
+        let level = (0..TOP_LEVEL).take_while(is_past).count();
+        self.label_at_level(level, uv_px, depth_m)
     }
 
     #[allow(
@@ -60,13 +61,20 @@ impl GaussianMask {
         clippy::cast_sign_loss,
         reason = "float to integer saturates; `get` refuses what lies outside"
     )]
-    fn at(&self, level: usize, uv_px: &Vector2<f64>) -> Label {
+    fn label_at_level(&self, level: usize, uv_px: &Vector2<f64>, depth_m: Option<f64>) -> Label {
+        let rendered = &self.levels[level];
         let at = uv_px / f64::from(1u32 << level) + Vector2::new(0.5, 0.5);
-        let inside = at.x >= 0.0 && at.y >= 0.0;
-        let pixel = inside.then(|| self.levels[level].get(at.x as usize, at.y as usize));
-        match pixel.flatten() {
-            Some(&MOVING) => Label::Dynamic,
-            _ => Label::Static,
+        let at = (at.x >= 0.0 && at.y >= 0.0).then_some((at.x as usize, at.y as usize));
+        let pixel = at.and_then(|at| Some((at, f64::from(*rendered.opacity.get(at.0, at.1)?))));
+        let is_moving = pixel.is_some_and(|(at, opacity)| {
+            let rendered_m = f64::from(rendered.depth[at]) / opacity;
+            let is_surface = |z: f64| (z - rendered_m).abs() < self.config.depth_m;
+            let compared = depth_m.filter(|_| self.config.depth_m > 0.0);
+            opacity > self.config.opacity && compared.is_none_or(is_surface)
+        });
+        match is_moving {
+            true => Label::Dynamic,
+            false => Label::Static,
         }
     }
 
@@ -74,7 +82,7 @@ impl GaussianMask {
     fn cells(&self, centres: &CellCentres) -> MaskImage {
         MaskImage::from_fn(centres.columns, centres.rows, |x, y| {
             let uv_px = centres.uv_px[y * centres.columns + x];
-            match uv_px.map(|uv_px| self.at(TOP_LEVEL, &uv_px)) {
+            match uv_px.map(|uv_px| self.label_at_level(TOP_LEVEL, &uv_px, None)) {
                 Some(Label::Dynamic) => MOVING,
                 _ => 0,
             }
@@ -127,24 +135,27 @@ pub(crate) fn label_by_mask(
     recorder: &mut Recorder,
 ) -> FrameLabels {
     let FrameView { frame, depth, .. } = view;
+    let (camera, config) = (&context.camera, &context.config.labels);
     let mask = GaussianMask::render(context, given.dynamic, frame);
     let scale = |i: usize| context.scales[usize::from(frame.keypoints[i].level)];
-    let keypoints = keypoint_samples(frame, &context.camera);
+    let label = (0..frame.len()).map(|i| mask.label(&frame.uv_px[i], scale(i), frame.depth_m[i]));
+    let mut label: Vec<Label> = label.collect();
+    let keypoints = keypoint_samples(frame, camera);
     let blocks = given.lattice.samples(frame, depth, context);
-    let mut label: Vec<Label> = (0..frame.len())
-        .map(|i| mask.label(&frame.uv_px[i], scale(i)))
-        .collect();
-    let mut cells = mask.cells(given.centres);
+    let label_of_block = |sample: &Sample| {
+        let uv_px = camera.project(&(frame.camera_from_world * sample.p_world));
+        let uv_px = uv_px.expect("a sample lies in front of the camera");
+        mask.label_at_level(TOP_LEVEL, &uv_px, Some(sample.depth_m))
+    };
 
-    let samples: Vec<Sample> = keypoints
-        .iter()
-        .map(|(_, sample)| *sample)
-        .chain(blocks.iter().flatten().copied())
+    let (of_keypoints, of_blocks) = (keypoints.iter(), blocks.iter().flatten());
+    let samples: Vec<Sample> = (of_keypoints.clone().map(|(_, sample)| *sample))
+        .chain(of_blocks.clone().copied())
         .collect();
-    let of_keypoints = keypoints.iter().map(|(i, _)| label[*i]);
-    let of_blocks = blocks.iter().flatten().map(|s| label_at(&cells, &s.px));
-    let suspected = of_keypoints.chain(of_blocks).map(|l| l == Label::Dynamic);
-    let suspected: Vec<bool> = suspected.collect();
+    let suspected: Vec<bool> = (of_keypoints.map(|(i, _)| label[*i]))
+        .chain(of_blocks.map(label_of_block))
+        .map(|label| label == Label::Dynamic)
+        .collect();
     let rests = rests(
         context,
         view.pyramid,
@@ -153,7 +164,6 @@ pub(crate) fn label_by_mask(
         &suspected,
         recorder,
     );
-
     let (keypoints_rest, blocks_rest) = rests.split_at(keypoints.len());
     let restored = keypoints.iter().zip(keypoints_rest);
     let restored = restored.filter(|(_, rests)| **rests).map(|((i, _), _)| *i);
@@ -161,14 +171,39 @@ pub(crate) fn label_by_mask(
     for i in &restored {
         label[*i] = Label::Static;
     }
-    let with_depth = (0..blocks.len()).filter(|b| blocks[*b].is_some());
-    for (block, _) in with_depth.zip(blocks_rest).filter(|(_, rests)| **rests) {
-        given.lattice.clear(&mut cells, block);
-    }
-    let near = mask::dilated(&cells, context.config.labels.reach_px.div_ceil(CELL_PX));
-    let reaches = context.config.labels.reach_px > 0;
+
+    let cells = if config.gaussian_mask.surface_share > 0.0 {
+        let moves = suspected[keypoints.len()..].iter().zip(blocks_rest);
+        let moves = moves.map(|(suspected, rests)| f64::from(u8::from(*suspected && !rests)));
+        let (beliefs, share): (Vec<f64>, f64) =
+            (moves.collect(), config.gaussian_mask.surface_share);
+        let cells = mask_from_beliefs(
+            given.lattice,
+            &blocks,
+            &beliefs,
+            depth,
+            config.edge_ratio,
+            share,
+        );
+        for (i, label) in label.iter_mut().enumerate() {
+            if restored.binary_search(&i).is_err()
+                && label_at(&cells, &frame.px[i]) == Label::Dynamic
+            {
+                *label = Label::Dynamic;
+            }
+        }
+        cells
+    } else {
+        let mut cells = mask.cells(given.centres);
+        let with_depth = (0..blocks.len()).filter(|b| blocks[*b].is_some());
+        for (block, _) in with_depth.zip(blocks_rest).filter(|(_, rests)| **rests) {
+            given.lattice.clear(&mut cells, block);
+        }
+        cells
+    };
+    let near = mask::dilated(&cells, config.reach_px.div_ceil(CELL_PX));
     let in_use = (0..frame.len()).map(|i| {
-        let is_near = reaches && label_at(&near, &frame.px[i]) == Label::Dynamic;
+        let is_near = config.reach_px > 0 && label_at(&near, &frame.px[i]) == Label::Dynamic;
         label[i] == Label::Static && (!is_near || restored.binary_search(&i).is_ok())
     });
     let labels = FrameLabels {

@@ -114,25 +114,12 @@ pub struct TaggedLabel {
 }
 
 /// Gives landmarks the labels of their Gaussians, and drops those whose Gaussians are gone.
-pub(crate) fn take_labels_of_gaussians(
-    context: &Context,
-    map: &mut Map,
-    labels: impl Iterator<Item = TaggedLabel>,
-) {
-    for TaggedLabel { id, label, removed } in labels {
+pub(crate) fn take_labels_of_gaussians(context: &Context, map: &mut Map, labels: &[TaggedLabel]) {
+    for TaggedLabel { id, label, removed } in labels.iter().copied() {
         if removed {
             map.drop_landmark(id);
         } else if let Some(landmark) = map.landmark_mut(id) {
             landmark.push_label(label, &context.config.labels.window);
-        }
-    }
-}
-
-/// Landmarks that the flow check found at rest are static again.
-pub(crate) fn restore_landmarks(context: &Context, map: &mut Map, restored: &[LandmarkId]) {
-    for id in restored {
-        if let Some(landmark) = map.landmark_mut(*id) {
-            landmark.push_label(Label::Static, &context.config.labels.window);
         }
     }
 }

@@ -4,18 +4,19 @@ use garad_core::{DepthImage, Image, Label, MaskImage, Real};
 use nalgebra::Vector2;
 
 use super::samples::{Lattice, Sample};
-use crate::config::Config;
 use crate::mask::CELL_PX;
 use crate::mask::MOVING;
 
 /// The mask in cells: the mean belief of the lattice samples around, weighted by their distance in
-/// the image (linear over one step) and in depth. Cells without depth use the image alone.
+/// the image (linear over one step) and in depth, of which samples of another surface differ by more than the share
+/// `edge_ratio`; moving where it is above the threshold. Cells without depth use the image alone.
 pub(crate) fn mask_from_beliefs(
     lattice: &Lattice,
     samples: &[Option<Sample>],
     beliefs: &[f64],
     depth: &DepthImage,
-    config: &Config,
+    edge_ratio: f64,
+    threshold: f64,
 ) -> MaskImage {
     let mut of_sample = vec![None; samples.len()];
     let mut next = beliefs.iter();
@@ -43,14 +44,14 @@ pub(crate) fn mask_from_beliefs(
                 let dy = (sample.px.y - center[1]).abs() / (1.5 * step);
                 let mut weight = (1.0 - dx).max(0.0) * (1.0 - dy).max(0.0);
                 if z > 0.0 {
-                    let d = (sample.depth_m - z) / (config.labels.edge_ratio * z);
+                    let d = (sample.depth_m - z) / (edge_ratio * z);
                     weight *= Real::exp(-0.5 * d * d) + 1e-6;
                 }
                 sum += weight * belief;
                 weights += weight;
             }
         }
-        let moves = weights > 0.0 && sum > config.crf.threshold * weights;
+        let moves = weights > 0.0 && sum > threshold * weights;
         if moves { MOVING } else { 0 }
     })
 }

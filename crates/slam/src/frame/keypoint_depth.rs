@@ -56,7 +56,7 @@ pub(super) fn one_surface(depth: &DepthImage, px: &Vector2<f64>, ratio: f64) -> 
     clippy::cast_sign_loss,
     reason = "compared with the image's bounds before the cast"
 )]
-pub(super) fn nearest_pixel(
+pub(crate) fn nearest_pixel(
     px: &Vector2<f64>,
     (width, height): (usize, usize),
 ) -> Option<(usize, usize)> {

@@ -251,6 +251,8 @@ fn explained(
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use garad_core::{Camera, DepthImage, FrameId, KeyframeId, MaskImage, Par, RgbImage};
 
     use super::*;
@@ -285,7 +287,7 @@ mod tests {
             cells: None,
             labels: Vec::new(),
             cues: Vec::new(),
-            restored: Vec::new(),
+            restored: BTreeSet::new(),
             poses: Vec::new(),
             moved: Vec::new(),
             new_landmarks: Vec::new(),

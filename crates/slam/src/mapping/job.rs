@@ -1,5 +1,7 @@
 //! [`MappingJob`], [`MappingDone`] and [`MapFeedback`]: what tracking hands to the mapper, and what comes back.
 
+use std::collections::BTreeSet;
+
 use garad_core::{
     DepthImage, FrameId, GaussianMap, KeyframeId, Label, LandmarkId, MaskImage, RgbImage, Se3,
 };
@@ -28,8 +30,8 @@ pub struct MappingJob {
     pub labels: Vec<LandmarkLabel>,
     /// ... or what their Gaussians are to be labelled by (the other sources).
     pub cues: Vec<LandmarkCues>,
-    /// Landmarks that the flow check found at rest since the job before: their Gaussians are static again.
-    pub restored: Vec<LandmarkId>,
+    /// Landmarks that the flow check found at rest since the job before: they and their Gaussians are static again.
+    pub restored: BTreeSet<LandmarkId>,
     /// camera_from_world of every keyframe so far, as adjusted.
     pub poses: Vec<Se3>,
     /// If a loop was closed at this keyframe: the correction of every keyframe so far,

@@ -29,6 +29,7 @@ use crate::dynamics::free_space::FreeSpace;
 use crate::dynamics::gaussian_field::{LabelledGaussian, label_tagged, labels_by_vote};
 use crate::dynamics::landmarks::TaggedLabel;
 use crate::io::SlamError;
+use crate::mask::is_moving_at;
 use crate::observer::{Observer, Stage};
 use crate::session::sections::{SectionReader, SectionWriter, SessionError};
 use crate::trace::{Recorder, TraceRecord};
@@ -115,22 +116,13 @@ impl Mapper {
         self.poses.clone_from(&job.poses);
         self.extent_m = extent_m(&self.poses);
         apply_loop_correction(&mut self.gaussians, &job.moved);
-        observer.begin(Stage::Relabel);
         let labels = &self.context.config.labels;
         let by_field = labels.map && labels.source.has_gaussians();
-        let (relabelled, voters, mut feedback) = match by_field {
-            true => self.relabel_by_field(&job),
-            false => (self.relabel(&job), Vec::new(), MapFeedback::default()),
-        };
-        self.mask_freed_space(&job);
-        observer.end(Stage::Relabel);
         let before = self.gaussians.len();
-        observer.begin(Stage::Insert);
-        let inserted = self.insert(&job);
-        observer.end(Stage::Insert);
-        if by_field {
-            self.label_inserted(before, &voters, &mut feedback);
-        }
+        let (relabelled, inserted, feedback) = match by_field {
+            true => self.label_by_field_and_insert(&job, observer),
+            false => self.label_by_evidence_and_insert(&job, observer),
+        };
         self.recorder.record("insert", |record| {
             record.landmarks(&job.living, &job.new_landmarks);
             record.gaussians(&self.gaussians);
@@ -140,7 +132,7 @@ impl Mapper {
             frame: job.frame,
             relabelled,
             dynamic: 0,
-            inserted: self.gaussians.len() - before,
+            inserted: self.gaussians.len() + relabelled.removed - before,
             gaussians: 0,
             loss: None,
             error: None,
@@ -161,6 +153,46 @@ impl Mapper {
         done
     }
 
+    /// As the default has it: labels from landmarks, the keyframe's mask and its free space; then new Gaussians.
+    fn label_by_evidence_and_insert(
+        &mut self,
+        job: &MappingJob,
+        observer: &mut dyn Observer,
+    ) -> (Relabelled, Result<(), TrainError>, MapFeedback) {
+        observer.begin(Stage::Relabel);
+        let relabelled = self.relabel(job);
+        self.mask_freed_space(job);
+        observer.end(Stage::Relabel);
+        observer.begin(Stage::Insert);
+        let first = self.gaussians.len();
+        self.insert_landmarks(job);
+        let inserted = self.insert_depth_samples(job, first);
+        observer.end(Stage::Insert);
+        (relabelled, inserted, MapFeedback::default())
+    }
+
+    /// The paper's loop: the landmarks' Gaussians first, so that those of the keyframe itself are nodes of the field;
+    /// the field; Gaussians from depth, with the vote of the labelled ones.
+    fn label_by_field_and_insert(
+        &mut self,
+        job: &MappingJob,
+        observer: &mut dyn Observer,
+    ) -> (Relabelled, Result<(), TrainError>, MapFeedback) {
+        observer.begin(Stage::Insert);
+        self.insert_landmarks(job);
+        observer.end(Stage::Insert);
+        observer.begin(Stage::Relabel);
+        let (relabelled, voters, feedback) = self.relabel_by_field(job);
+        self.mask_freed_space(job);
+        observer.end(Stage::Relabel);
+        observer.begin(Stage::Insert);
+        let first = self.gaussians.len();
+        let inserted = self.insert_depth_samples(job, first);
+        self.label_inserted(job, first, &voters);
+        observer.end(Stage::Insert);
+        (relabelled, inserted, feedback)
+    }
+
     /// The field over the tagged Gaussians; the vote of those for the others; and the Gaussians that were dynamic
     /// for a whole window are removed (eq. 7). Restored ones are static before.
     fn relabel_by_field(
@@ -169,17 +201,13 @@ impl Mapper {
     ) -> (Relabelled, Vec<LabelledGaussian>, MapFeedback) {
         let (map, config) = (&mut self.gaussians, &self.context.config.labels);
         let windows = self.trainer.windows(map);
-        let is_restored = |tag: &Option<LandmarkId>| {
-            tag.is_some_and(|id| job.restored.binary_search(&id).is_ok())
-        };
-        let restored = map
-            .landmark
-            .iter()
-            .map(|tag| is_restored(tag).then_some(Label::Static));
-        let restored: Vec<_> = restored.collect();
-        push_labels(map, windows, &restored, &config.window);
+        let restored: Vec<Option<LandmarkId>> = (map.landmark.iter())
+            .map(|tag| tag.filter(|id| job.restored.contains(id)))
+            .collect();
+        let as_static: Vec<_> = restored.iter().map(|r| r.map(|_| Label::Static)).collect();
+        push_labels(map, windows, &as_static, &config.window);
         let voters = label_tagged(&self.context, &self.crf, map, &job.cues, &mut self.recorder);
-        let mut labels = match config.spread.enabled && !voters.is_empty() {
+        let mut labels = match config.spread.enabled {
             true => labels_by_vote(&self.context, map, 0..map.len(), &voters, &config.spread),
             false => vec![None; map.len()],
         };
@@ -190,16 +218,15 @@ impl Mapper {
             labels[voter.row] = Some(voter.label);
         }
         let (counts, expired) = push_labels(map, windows, &labels, &config.window);
-        eprintln!("DBG f {} cues {} voters {} dyn {} votes {:?} {counts:?} restored {}", job.frame.0, job.cues.len(), voters.len(), voters.iter().filter(|v| v.label==Label::Dynamic).count(), [Label::Static,Label::Dynamic].map(|l| labels.iter().filter(|x| **x==Some(l)).count()), job.restored.len());
-        let tagged = voters.iter().filter_map(|voter| {
-            Some(TaggedLabel {
-                id: map.landmark[voter.row]?,
-                label: voter.label,
-                removed: expired[voter.row],
-            })
+        let tagged = |id, label, removed| TaggedLabel { id, label, removed };
+        let restored = restored.iter().flatten();
+        let restored = restored.map(|id| tagged(*id, Label::Static, false));
+        let by_field = voters.iter().filter_map(|voter| {
+            let id = map.landmark[voter.row]?;
+            Some(tagged(id, voter.label, expired[voter.row]))
         });
         let feedback = MapFeedback {
-            labels: tagged.collect(),
+            labels: restored.chain(by_field).collect(),
             ..MapFeedback::default()
         };
         if counts.removed > 0 {
@@ -209,35 +236,38 @@ impl Mapper {
         (counts, voters, feedback)
     }
 
-    /// The vote of the labelled Gaussians for those inserted from row `first` on.
-    fn label_inserted(
-        &mut self,
-        first: usize,
-        voters: &[LabelledGaussian],
-        feedback: &mut MapFeedback,
-    ) {
+    /// Labels the Gaussians inserted from row `first` on: by the vote of the labelled ones, and by the keyframe's mask
+    /// where that is to decide.
+    fn label_inserted(&mut self, job: &MappingJob, first: usize, voters: &[LabelledGaussian]) {
         let (map, config) = (&mut self.gaussians, &self.context.config.labels);
-        if !config.spread.enabled || voters.is_empty() {
+        if !config.spread.enabled {
             return;
         }
         let windows = self.trainer.windows(map);
-        let mut labels = vec![None; first];
         let rows = first..map.len();
+        let mut labels = vec![None; first];
         labels.extend(labels_by_vote(
             &self.context,
             map,
-            rows.clone(),
+            rows,
             voters,
             &config.spread,
         ));
+        if let Some(mask) = job.mask.as_ref().filter(|_| config.spread.from_mask) {
+            let pose = self.poses[job.keyframe.index()];
+            let is_in = |mean: &[f32; 3]| {
+                let p_cam = pose * Vector3::from(mean.map(f64::from));
+                let uv_px = self.context.camera.project(&p_cam);
+                let px = uv_px.map(|uv_px| self.context.camera.distort_pixel(&uv_px));
+                px.is_some_and(|px| is_moving_at(mask, &px))
+            };
+            for (label, mean) in labels.iter_mut().zip(&map.means).skip(first) {
+                if is_in(mean) {
+                    *label = Some(Label::Dynamic);
+                }
+            }
+        }
         push_labels(map, windows, &labels, &config.window);
-        feedback.labels.extend(rows.filter_map(|row| {
-            Some(TaggedLabel {
-                id: map.landmark[row]?,
-                label: labels[row]?,
-                removed: false,
-            })
-        }));
     }
 
     /// What tracking needs of the map as it is after the job.
@@ -317,14 +347,18 @@ impl Mapper {
         Some(free_space)
     }
 
-    /// One Gaussian for each new landmark, and Gaussians where the map does not explain the keyframe yet.
-    fn insert(&mut self, job: &MappingJob) -> Result<(), TrainError> {
+    /// One Gaussian for each new landmark.
+    fn insert_landmarks(&mut self, job: &MappingJob) {
         let pose = self.poses[job.keyframe.index()];
         untag_dropped(&mut self.gaussians, &job.living);
-        let first = self.gaussians.len();
         if self.context.config.insertion.landmarks {
             insert_landmarks(&self.context, &mut self.gaussians, job, &pose);
         }
+    }
+
+    /// Gaussians where the map does not explain the keyframe yet; the new ones are those from row `first` on.
+    fn insert_depth_samples(&mut self, job: &MappingJob, first: usize) -> Result<(), TrainError> {
+        let pose = self.poses[job.keyframe.index()];
         insert_depth_samples(&self.context, &mut self.gaussians, job, &pose)?;
         if self.context.config.insertion.scale == InitialScale::Neighbours {
             scale_by_neighbours(&self.context, &mut self.gaussians, first, &pose);
@@ -447,6 +481,8 @@ fn extent_m(camera_from_world: &[Se3]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use garad_core::{Camera, DepthImage, FrameId, KeyframeId, MaskImage, Par, RgbImage};
 
     use super::*;
@@ -468,7 +504,7 @@ mod tests {
             cells: Some(MaskImage::new(8, 6, MOVING)),
             labels: Vec::new(),
             cues: Vec::new(),
-            restored: Vec::new(),
+            restored: BTreeSet::new(),
             moved: Vec::new(),
             poses: vec![Se3::identity(); k as usize + 1],
             new_landmarks: Vec::new(),
