@@ -52,10 +52,9 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let mut notes = vec![NOT_RUN.to_owned()];
     if published.is_some() {
         notes.push(format!(
-            "Published: {}, whole recording; the other rows: {} frames of {}.",
+            "Published: {}, whole recording; the other rows: {}.",
             published::SOURCE,
-            dataset.len(),
-            dataset.name()
+            args.input.part(&dataset)
         ));
     }
     let table = Table {

@@ -40,6 +40,13 @@ impl InputArgs {
         };
         Ok(Dataset::open(path, &options)?)
     }
+
+    /// The part of the recording that is run, in words.
+    pub(crate) fn part(&self, dataset: &Dataset) -> String {
+        let first = self.first_frame;
+        let last = first + dataset.len().saturating_sub(1);
+        format!("frames {first} to {last} of {}", dataset.name())
+    }
 }
 
 /// Frames decoded ahead of tracking.

@@ -105,8 +105,8 @@ pub(crate) struct CommonArgs {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 #[value(rename_all = "snake_case")]
 pub(crate) enum Part {
-    /// No labels: everything counts as static, as in the row of that name of Table III, which has the
-    /// figures of Photo-SLAM.
+    /// No labels: everything counts as static. Table III means the same: its row has the figures of
+    /// Photo-SLAM.
     Crf,
     /// No edges of the field: each label by its own evidence alone.
     Pairwise,

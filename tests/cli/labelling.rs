@@ -1,8 +1,8 @@
-//! Computed labels, parts left out, and `garad ablate`.
+//! Computed labels, and parts left out.
 
 use std::fs;
 
-use crate::support::{Bench, arg, garad, metrics, run_into, walking};
+use crate::support::{Bench, metrics, run_into, walking};
 
 #[test]
 fn labels_are_written_and_judged_by_the_masks_of_the_recording() {
@@ -52,31 +52,20 @@ fn parts_can_be_left_out() {
     assert_eq!(no_map["map"]["gaussians"], 0, "{no_map}");
     let config = fs::read_to_string(bench.path("map").join("config.toml")).expect("as used");
     assert!(config.contains("[flow]\nenabled = false"), "{config}");
+    let (_, unlabelled) = run("map_labels", &["--without", "map_labels"]);
+    assert_eq!(unlabelled["map"]["dynamic"], 0, "{unlabelled}");
+    assert!(
+        unlabelled["labels"]["keypoints"]["f1"].is_number(),
+        "{unlabelled}"
+    );
+    let config = fs::read_to_string(bench.path("map_labels").join("config.toml")).expect("as used");
+    for key in [
+        "avoid_moving = false",
+        "exclude_moving = false",
+        "map = false",
+    ] {
+        assert!(config.contains(key), "{key} in {config}");
+    }
     let answer = run_into(walking(), &bench.out(), &["--without", "tracking"]);
     answer.fails_with(&["tracking"]);
-}
-
-#[test]
-fn ablation_runs_every_variant() {
-    let bench = Bench::empty();
-    let out = bench.out();
-    let answer = garad(["ablate", arg(walking()), "--quiet", "-o", arg(&out)]).succeeds();
-    for variant in ["full", "without flow", "without crf", "without mapping"] {
-        let row = format!("| {variant} | 0.");
-        assert!(answer.out.contains(&row), "{row} in {answer:?}");
-    }
-    let text = fs::read_to_string(out.join("ablation.json")).expect("figures");
-    let figures: serde_json::Value = serde_json::from_str(&text).expect("JSON");
-    assert_eq!(figures.as_array().map(Vec::len), Some(5), "{figures}");
-    assert!(
-        figures[0]["labels"]["pixels"]["iou"].is_number(),
-        "{figures}"
-    );
-    assert!(
-        out.join("full/report.html").exists(),
-        "each with its report"
-    );
-
-    let answer = garad(["ablate", arg(&bench.path("nowhere"))]);
-    answer.fails_with(&["nowhere"]);
 }

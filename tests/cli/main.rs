@@ -6,6 +6,7 @@ mod archives;
 mod bad_frames;
 mod bad_maps;
 mod bad_recordings;
+mod comparing;
 mod golden;
 mod judging;
 mod labelling;

@@ -4,8 +4,8 @@ use std::process::Stdio;
 
 use crate::support::{Bench, arg, garad, program, short};
 
-const COMMANDS: [&str; 8] = [
-    "demo", "run", "ablate", "eval", "render", "synth", "golden", "trace",
+const COMMANDS: [&str; 10] = [
+    "demo", "run", "compare", "ablate", "profiles", "eval", "render", "synth", "golden", "trace",
 ];
 
 #[test]

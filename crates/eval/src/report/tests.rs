@@ -244,3 +244,29 @@ fn text_cannot_become_markup() {
     // The name three times (title, heading, figures in JSON aside), the version twice.
     assert_eq!(html.matches(escaped).count(), 8, "every text");
 }
+
+#[test]
+fn a_page_of_several_runs() {
+    let comparison = crate::comparison::tests::sample();
+    let image = RgbImage::new(8, 6, [90, 120, 30]);
+    let row = |name, pictures| PictureRow { name, pictures };
+    let rows = [
+        row("input", vec![Some(&image), Some(&image)]),
+        row("whole", vec![Some(&image), None]),
+        row("broken", vec![None, None]),
+    ];
+    let html = comparison_html(&comparison, &[4, 9], &rows);
+    assert_well_formed(&html);
+    for expected in [
+        "<h1>walk</h1>",
+        "<td>59 of 60</td>",
+        "no &lt;map&gt; | none",
+        "X-SLAM, published",
+        "Measured once.",
+        "frame 9: no pose",
+        "No picture",
+    ] {
+        assert!(html.contains(expected), "'{expected}' is missing");
+    }
+    assert_eq!(html.matches("<img").count(), 3, "pictures");
+}

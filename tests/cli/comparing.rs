@@ -1,0 +1,197 @@
+//! Profiles, `garad compare` and `garad ablate`.
+
+use std::fs;
+use std::path::Path;
+
+use crate::support::{Bench, arg, assert_same_results, garad, run_into, short, walking};
+
+fn read(path: &Path) -> String {
+    fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+fn json(path: &Path) -> serde_json::Value {
+    serde_json::from_str(&read(path)).expect("JSON")
+}
+
+#[test]
+fn profiles_are_listed_and_printed() {
+    let list = garad(["profiles"]).succeeds().out;
+    for name in ["default ", "orb_slam ", "photo_slam "] {
+        assert!(
+            list.lines().any(|line| line.starts_with(name)),
+            "{name} in {list}"
+        );
+    }
+    let toml = garad(["profiles", "orb_slam"]).succeeds().out;
+    assert!(toml.contains("depth_residual = \"right\""), "{toml}");
+    let rec = arg(short());
+    for unknown in [
+        &["profiles", "slam_orb"][..],
+        &["run", rec, "--profile", "slam_orb"],
+        &["compare", rec, "--profiles", "default,slam_orb"],
+    ] {
+        garad(unknown).fails_with(&["slam_orb", "default", "photo_slam"]);
+    }
+}
+
+/// Defaults, profile, file, options: each overrides those before it.
+#[test]
+fn a_profile_lies_between_the_defaults_and_the_file() {
+    let bench = Bench::empty();
+    let file = bench.path("settings.toml");
+    fs::write(
+        &file,
+        "[labels]\nenabled = true\n[train]\nfinal_iterations = 5\n",
+    )
+    .expect("written");
+    let used = |name: &str, options: &[&str]| {
+        run_into(short(), &bench.path(name), options).succeeds();
+        read(&bench.path(name).join("config.toml"))
+    };
+    let profile = used("profile", &["--profile", "orb_slam"]);
+    assert!(profile.contains("[labels]\nenabled = false"), "{profile}");
+    let options = [
+        "--profile",
+        "orb_slam",
+        "--config",
+        arg(&file),
+        "--refine",
+        "0",
+    ];
+    let all = used("all", &options);
+    for expected in [
+        "[labels]\nenabled = true",
+        "[insertion]\nenabled = false",
+        "final_iterations = 0",
+    ] {
+        assert!(all.contains(expected), "{expected} in {all}");
+    }
+    used("default", &["--profile", "default"]);
+    used("plain", &[]);
+    assert_same_results(&bench.path("default"), &bench.path("plain"));
+}
+
+#[test]
+fn profiles_are_compared_on_one_recording() {
+    let bench = Bench::empty();
+    let out = bench.out();
+    let profiles = ["--profiles", "default,orb_slam", "--quiet", "-o", arg(&out)];
+    let answer = garad(["compare", arg(walking())].iter().chain(&profiles)).succeeds();
+    for row in ["| default | 0.", "| orb_slam | 0."] {
+        assert!(answer.out.contains(row), "{row} in {answer:?}");
+    }
+    assert!(
+        answer.out.contains("DDN-SLAM needs a detector"),
+        "{answer:?}"
+    );
+    assert!(
+        answer.out.contains(&read(&out.join("compare.md"))),
+        "the same text"
+    );
+    let table = json(&out.join("compare.json"));
+    assert_eq!(
+        table["published"].as_array().map(Vec::len),
+        Some(0),
+        "{table}"
+    );
+    let [default, orb] = [0, 1].map(|i| &table["rows"][i]);
+    for key in [
+        "static_psnr_db",
+        "ghosts",
+        "gaussians",
+        "mask_iou",
+        "processor_ms_per_frame",
+    ] {
+        assert!(default[key].is_number(), "{key}: {default}");
+    }
+    for key in ["static_psnr_db", "ghosts", "gaussians", "dynamic_gaussians"] {
+        assert!(orb[key].is_null(), "{key}: {orb}");
+    }
+    let page = read(&out.join("compare.html"));
+    assert_eq!(
+        page.matches("data:image/jpeg;base64,").count(),
+        10,
+        "input and a map"
+    );
+    for name in ["default", "orb_slam"] {
+        assert!(out.join(name).join("report.html").is_file(), "{name}");
+    }
+    let twice = garad(["compare", arg(walking()), "--profiles", "default,default"]);
+    twice.fails_with(&["default", "twice"]);
+}
+
+#[test]
+fn a_profile_that_fails_is_a_row_with_the_reason() {
+    let bench = Bench::new();
+    let (rec, out, file) = (bench.rec(), bench.out(), bench.path("settings.toml"));
+    fs::create_dir_all(&out).expect("made");
+    fs::write(out.join("default"), "in the way").expect("written");
+    let profiles = ["--profiles", "default,orb_slam", "--quiet", "-o", arg(&out)];
+    let compare = |options: &[&str]| {
+        let command = ["compare", arg(&rec)];
+        garad(command.iter().chain(&profiles).chain(options))
+    };
+    compare(&[]).succeeds();
+    let rows = json(&out.join("compare.json"))["rows"].clone();
+    let remark = rows[0]["remark"].as_str().expect("a reason");
+    assert!(remark.contains("cannot make the folder"), "{rows}");
+    assert!(rows[1]["ate_rmse_m"].is_number(), "the next one: {rows}");
+
+    fs::write(&file, "[keyframes]\nfirst_min_keypoints = 100000\n").expect("written");
+    compare(&["--config", arg(&file)]).fails_with(&["no run has tracked a frame"]);
+    let rows = json(&out.join("compare.json"))["rows"].clone();
+    assert_eq!(rows[1]["remark"], "no frame could be tracked", "{rows}");
+    assert_eq!(rows[1]["tracked"], 0, "{rows}");
+}
+
+#[test]
+fn published_figures_stand_below_the_rows_of_a_known_recording() {
+    let bench = Bench::new();
+    let (crowd, out) = (bench.path("bonn_crowd_1_6"), bench.out());
+    fs::rename(bench.rec(), &crowd).expect("renamed");
+    let options = ["--profiles", "orb_slam", "--quiet", "-o", arg(&out)];
+    let answer = garad(["compare", arg(&crowd)].iter().chain(&options)).succeeds();
+    let row = "| GARAD-SLAM, published | 0.0182 | 0.0091 |";
+    assert!(answer.out.contains(row), "{answer:?}");
+    assert!(
+        answer.out.contains("frames 0 to 5 of bonn_crowd_1_6"),
+        "{answer:?}"
+    );
+}
+
+#[test]
+fn ablation_runs_every_variant() {
+    let bench = Bench::empty();
+    let out = bench.out();
+    let answer = garad(["ablate", arg(walking()), "--quiet", "-o", arg(&out)]).succeeds();
+    let parts = [
+        "crf",
+        "pairwise",
+        "flow",
+        "map_labels",
+        "penalty",
+        "retention",
+        "loops",
+    ];
+    let without = parts.map(|part| format!("without {part}"));
+    for variant in std::iter::once("full").chain(without.iter().map(String::as_str)) {
+        let row = format!("| {variant} | 0.");
+        assert!(answer.out.contains(&row), "{row} in {answer:?}");
+    }
+    let table = json(&out.join("ablation.json"));
+    let rows = table["rows"].as_array().expect("rows");
+    assert_eq!(rows.len(), 8, "{table}");
+    assert!(rows[0]["mask_iou"].is_number(), "{table}");
+    assert!(rows[1]["mask_iou"].is_null(), "without crf: {table}");
+    assert_eq!(
+        rows[4]["dynamic_gaussians"], 0,
+        "without map labels: {table}"
+    );
+    for folder in ["full", "without_map_labels"] {
+        assert!(out.join(folder).join("report.html").is_file(), "{folder}");
+    }
+    assert!(out.join("ablation.html").is_file(), "a page");
+
+    let answer = garad(["ablate", arg(&bench.path("nowhere"))]);
+    answer.fails_with(&["nowhere"]);
+}
