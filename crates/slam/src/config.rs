@@ -21,7 +21,8 @@ pub use mapping::{
     TrainConfig,
 };
 pub use tracking::{
-    DepthPlanesConfig, DepthResidual, FeatureConfig, MotionConfig, SubpixelConfig, TrackingConfig,
+    DepthPlanesConfig, DepthResidual, FeatureConfig, MotionConfig, RenderTrackingConfig,
+    SubpixelConfig, TrackingConfig, TrackingMethod,
 };
 pub use validate::ConfigError;
 
@@ -47,6 +48,8 @@ pub struct Config {
     pub features: FeatureConfig,
     /// Pose from matches.
     pub tracking: TrackingConfig,
+    /// Pose from rendered images.
+    pub render_tracking: RenderTrackingConfig,
     /// Pose from keypoints and depth planes together.
     #[serde(alias = "surface")]
     pub depth_planes: DepthPlanesConfig,

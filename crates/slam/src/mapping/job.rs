@@ -1,6 +1,10 @@
 //! [`MappingJob`], [`MappingDone`] and [`MapFeedback`]: what tracking hands to the mapper, and what comes back.
 
-use garad_core::{DepthImage, FrameId, KeyframeId, Label, LandmarkId, MaskImage, RgbImage, Se3};
+use std::sync::Arc;
+
+use garad_core::{
+    DepthImage, FrameId, GaussianMap, KeyframeId, Label, LandmarkId, MaskImage, RgbImage, Se3,
+};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -50,7 +54,10 @@ pub struct NewLandmark {
 
 /// What the map gives back to tracking at the hand-over.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct MapFeedback {}
+pub struct MapFeedback {
+    /// The map as the job left it, if frames are tracked by rendering.
+    pub map: Option<Arc<GaussianMap>>,
+}
 
 /// The outcome of a job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

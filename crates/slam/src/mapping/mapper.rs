@@ -10,6 +10,7 @@
 
 use std::io::{Read, Write};
 use std::ops::RangeInclusive;
+use std::sync::Arc;
 
 use garad_core::{GaussianMap, Label, Se3};
 use nalgebra::Vector3;
@@ -22,7 +23,7 @@ use super::relabel::{Relabelled, assert_labels_agree, relabel};
 use super::train::{Pick, TrainStep, Trainer, TrainingScene};
 use super::view::TrainingView;
 use super::view_mask::{LaterView, ViewDepth};
-use crate::config::{DensifyConfig, InitialScale, TaggedLabels};
+use crate::config::{DensifyConfig, InitialScale, TaggedLabels, TrackingMethod};
 use crate::context::Context;
 use crate::dynamics::free_space::FreeSpace;
 use crate::io::SlamError;
@@ -141,6 +142,8 @@ impl Mapper {
         let labels = self.gaussians.label.iter();
         done.dynamic = labels.filter(|l| **l == Label::Dynamic).count();
         done.gaussians = self.gaussians.len();
+        let renders = self.context.config.tracking.method == TrackingMethod::Render;
+        done.feedback.map = renders.then(|| Arc::new(self.gaussians.clone()));
         done
     }
 
