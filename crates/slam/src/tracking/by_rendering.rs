@@ -130,3 +130,96 @@ fn not_compared(
         }
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use garad_core::{Camera, Image, KeyframeId, NewGaussian, Rng};
+
+    use super::*;
+    use crate::config::Config;
+
+    fn context() -> Context {
+        let camera = Camera::pinhole((80, 60), [70.0, 70.0, 39.5, 29.5]).expect("valid");
+        let mut config = Config::default();
+        let r = &mut config.render_tracking;
+        (r.iterations, r.rotation_rate_rad) = (100, 0.002);
+        Context::new(camera, config, 0, Par::Seq).expect("valid")
+    }
+
+    /// Two walls of random colours that meet in an edge, 2 to 2.6 m away.
+    fn map() -> GaussianMap {
+        let mut rng = Rng::new(5);
+        let mut map = GaussianMap::new(0);
+        for (i, j) in (-27i8..27).flat_map(|i| (-20i8..20).map(move |j| (i, j))) {
+            let (x, y) = (0.06 * f32::from(i), 0.06 * f32::from(j));
+            map.push(&NewGaussian {
+                mean: [x, y, 2.0 + 0.375 * x.abs()],
+                sigma_m: 0.04,
+                opacity: 0.95,
+                color: [(); 3].map(|()| rng.uniform().to_f32()),
+                landmark: None,
+                born: KeyframeId(0),
+            });
+        }
+        map
+    }
+
+    /// What is rendered at a pose.
+    fn target(context: &Context, map: &GaussianMap, pose: &Se3) -> Target {
+        let (camera, options) = (context.camera, RenderOptions::default());
+        let rendered = fast::render(map, &camera, pose, &options, Par::Seq).expect("drawn");
+        let (width, height) = rendered.color.size();
+        Target {
+            camera,
+            depth: Some(rendered.normalized_depth()),
+            color: rendered.color,
+            excluded: Image::new(width, height, 0),
+        }
+    }
+
+    #[test]
+    fn a_pose_two_centimetres_and_a_degree_off_is_corrected() {
+        let (context, map) = (context(), map());
+        let degree = 1f64.to_radians();
+        let truth = Se3::exp(&Vector6::new(0.1, -0.05, 0.05, 0.02, -0.1, 0.05));
+        let target = target(&context, &map, &truth);
+        let (a, b) = (0.02 / 3f64.sqrt(), degree / 3f64.sqrt());
+        for offset in [
+            Vector6::new(0.02, 0.0, 0.0, 0.0, degree, 0.0),
+            Vector6::new(-a, a, a, b, b, -b),
+        ] {
+            let start = Se3::exp(&offset) * truth;
+            let found = pose_by_rendering(&context, &map, &target, &start);
+            let (pose, pixels) = found.expect("the map is seen");
+            let error = (pose * truth.inverse()).log();
+            let (t, r) = (
+                error.fixed_rows::<3>(0).norm(),
+                error.fixed_rows::<3>(3).norm(),
+            );
+            assert!(t < 1e-3 && r < 0.05 * degree, "{t} m, {r} rad");
+            assert!(2 * pixels > 80 * 60, "most of the image: {pixels}");
+        }
+    }
+
+    #[test]
+    fn without_a_visible_pixel_there_is_no_pose() {
+        let (context, map) = (context(), map());
+        let here = Se3::identity();
+        let mut target = target(&context, &map, &here);
+        let pose_from = |target: &Target, start: &Se3| {
+            pose_by_rendering(&context, &map, target, start).map(|(pose, _)| pose)
+        };
+        assert!(pose_from(&target, &here).is_some(), "seen");
+        let away = Se3::exp(&Vector6::new(0.0, 0.0, 0.0, 0.0, 3.0, 0.0));
+        assert_eq!(pose_from(&target, &away), None, "looks away from the map");
+        let nowhere = Se3::exp(&Vector6::new(f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0));
+        assert_eq!(pose_from(&target, &nowhere), None, "not finite");
+        let empty = GaussianMap::new(0);
+        let found = pose_by_rendering(&context, &empty, &target, &here);
+        assert_eq!(found, None, "an empty map");
+        target.depth = Some(DepthImage::new(80, 60, f32::NAN));
+        assert_eq!(pose_from(&target, &here), None, "no depth measured");
+        target.depth = None;
+        assert_eq!(pose_from(&target, &here), None, "no depth image");
+    }
+}
