@@ -47,6 +47,8 @@ pub(crate) fn coarse_to_fine() -> Drawn {
             mask: None,
             cells: None,
             labels: Vec::new(),
+            cues: Vec::new(),
+            restored: std::collections::BTreeSet::new(),
             poses: Vec::new(),
             moved: Vec::new(),
             new_landmarks: Vec::new(),

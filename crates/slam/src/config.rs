@@ -24,8 +24,8 @@ pub use mapping::{
     TrainConfig,
 };
 pub use tracking::{
-    DepthPlanesConfig, DepthResidual, FeatureConfig, MotionConfig, PointSource, SubpixelConfig,
-    TrackingConfig,
+    DepthPlanesConfig, DepthResidual, FeatureConfig, MotionConfig, PointSource,
+    RenderTrackingConfig, SubpixelConfig, TrackingConfig, TrackingMethod,
 };
 pub use validate::ConfigError;
 
@@ -51,6 +51,8 @@ pub struct Config {
     pub features: FeatureConfig,
     /// Pose from matches.
     pub tracking: TrackingConfig,
+    /// Pose from rendered images.
+    pub render_tracking: RenderTrackingConfig,
     /// Pose from keypoints and depth planes together.
     #[serde(alias = "surface")]
     pub depth_planes: DepthPlanesConfig,

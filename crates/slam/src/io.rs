@@ -88,7 +88,7 @@ pub struct FrameReport {
     pub keypoints: usize,
     /// Of these on moving things.
     pub dynamic_keypoints: usize,
-    /// Landmarks that agree with the pose.
+    /// Landmarks that agree with the pose; pixels compared, if it was found by rendering.
     pub inliers: usize,
     /// The keyframe it became.
     pub keyframe: Option<KeyframeId>,

@@ -11,6 +11,8 @@ pub enum Stage {
     Label,
     /// The local map projected into the frame, and the final pose.
     TrackLocalMap,
+    /// The pose found by rendering the map.
+    TrackRender,
     /// A lost camera searched for among the keyframes.
     Relocalise,
     /// A keyframe and its landmarks added, weak landmarks dropped.
@@ -40,6 +42,7 @@ impl Stage {
             Self::TrackMotion => "track_motion",
             Self::Label => "label",
             Self::TrackLocalMap => "track_local_map",
+            Self::TrackRender => "track_render",
             Self::Relocalise => "relocalise",
             Self::Keyframe => "keyframe",
             Self::LabelMap => "label_map",

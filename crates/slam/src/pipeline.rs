@@ -10,10 +10,11 @@ use std::borrow::Cow;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
+use garad_core::undistort::Undistortion;
 use garad_core::{Camera, DepthImage, FrameId, KeyframeId, Label, Par};
 use garad_features::{LkPyramid, PlaceConfig, PlaceIndex};
 
-use crate::config::Config;
+use crate::config::{Config, TrackingMethod};
 use crate::context::Context;
 use crate::dynamics::bootstrap::{BootstrapBuffer, FutureView};
 use crate::dynamics::samples::FrameView;
@@ -31,6 +32,7 @@ use crate::keyframing::local_ba::local_ba;
 use crate::map::Map;
 use crate::mapping::Mapping;
 use crate::mapping::job::{MapFeedback, MappingJob};
+use crate::mapping::view::Target;
 use crate::mask::full_size;
 use crate::observer::{Observer, Stage};
 use crate::trace::Recorder;
@@ -44,6 +46,8 @@ use crate::trajectory::Trajectory;
 pub struct Slam {
     pub(crate) context: Context,
     pub(crate) extractor: FrameExtractor,
+    /// Straightens the images that are compared with rendered ones.
+    pub(crate) straight: Undistortion,
     pub(crate) tracker: Tracker,
     pub(crate) dynamics: Dynamics,
     pub(crate) map: Map,
@@ -73,6 +77,7 @@ impl Slam {
         let places = PlaceIndex::new(PlaceConfig::default(), rng_seed);
         Ok(Self {
             extractor: FrameExtractor::new(&context)?,
+            straight: Undistortion::new(&context.camera),
             tracker: Tracker::default(),
             dynamics: Dynamics::new(&context)?,
             map: Map::default(),
@@ -143,10 +148,19 @@ impl Slam {
         let (inliers, labels) = match self.tracker.state() {
             TrackingState::NotInitialised => {
                 let labels = self.label(&mut frame, input, pyramid.as_deref(), observer);
-                (self.tracker.initialise(&self.context, &mut frame), labels)
+                let tracker = &mut self.tracker;
+                let usable = tracker.initialise(&self.context, &mut frame, input.depth);
+                (usable, labels)
             }
             TrackingState::Tracking | TrackingState::Lost => {
-                self.track(&mut frame, input, pyramid.as_deref(), observer)
+                match self.context.config.tracking.method {
+                    TrackingMethod::Features => {
+                        self.track(&mut frame, input, pyramid.as_deref(), observer)
+                    }
+                    TrackingMethod::Render => {
+                        self.track_by_rendering(&mut frame, input, pyramid.as_deref(), observer)
+                    }
+                }
             }
         };
         self.labelled = labels.as_ref().map(|labels| labelled_frame(&frame, labels));
@@ -188,9 +202,13 @@ impl Slam {
             labels,
             positions,
             dynamic,
+            map: gaussians,
         } = feedback;
         let (context, map) = (&self.context, &mut self.map);
         (self.dynamics).take_feedback(context, map, &labels, dynamic);
+        if let Some(gaussians) = gaussians {
+            self.tracker.set_gaussians(gaussians);
+        }
         for (id, p_world) in positions {
             map.set_position(id, p_world, &context.scales);
         }
@@ -211,7 +229,7 @@ impl Slam {
         }
     }
 
-    /// Features, their depth, and the image for Lucas-Kanade.
+    /// Features and their depth, unless frames are tracked by rendering, and the image for Lucas-Kanade.
     fn extract(
         &mut self,
         id: FrameId,
@@ -219,6 +237,13 @@ impl Slam {
         observer: &mut dyn Observer,
     ) -> Result<(Frame, Option<Arc<LkPyramid>>), SlamError> {
         let context = &self.context;
+        if context.config.tracking.method == TrackingMethod::Render {
+            let frame = self.extractor.without_features(context, id, input);
+            self.recorder
+                .record("input", |record| record.frame_input(input));
+            let pyramid = lk_pyramid(&input.rgb.to_gray(), &context.config);
+            return Ok((frame, pyramid.map(Arc::new)));
+        }
         observer.begin(Stage::Orb);
         let gray = input.rgb.to_gray();
         let wanted = wanted_keypoints(context, self.tracker.last());
@@ -275,6 +300,27 @@ impl Slam {
         }
         self.tracker.update_state(&self.context, frame.id, inliers);
         (inliers, labels)
+    }
+
+    /// Pose by rendering, then what moves. Returns the number of pixels compared and the labels.
+    fn track_by_rendering(
+        &mut self,
+        frame: &mut Frame,
+        input: &FrameInput<'_>,
+        pyramid: Option<&LkPyramid>,
+        observer: &mut dyn Observer,
+    ) -> (usize, Option<FrameLabels>) {
+        let context = &self.context;
+        observer.begin(Stage::TrackRender);
+        let images = (input.rgb, Some(input.depth), input.mask);
+        let level = context.config.render_tracking.level;
+        let target = Target::new(&context.camera, &self.straight, images, level, context.par);
+        let pixels = self.tracker.track_by_rendering(context, frame, &target);
+        observer.end(Stage::TrackRender);
+        match self.tracker.state() {
+            TrackingState::Tracking => (pixels, self.label(frame, input, pyramid, observer)),
+            _ => (pixels, None),
+        }
     }
 
     /// What moves in a frame, applied to it; nothing if a mask is given.

@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use garad_core::{Camera, GaussianMap, StampedPose};
 
-use crate::config::Config;
+use crate::config::{Config, TrackingMethod};
 use crate::frame::Frame;
 use crate::io::{LabelledFrame, ReplayedFrame, SlamError};
 use crate::keyframing::loop_closing::LoopClosure;
@@ -81,11 +81,15 @@ impl Slam {
         Ok(mapper.train_final(iterations, poses, on_step)?)
     }
 
-    /// The path so far: every tracked frame, moved along with its adjusted keyframe.
+    /// The path so far: every tracked frame, moved along with its adjusted keyframe. Poses found by
+    /// rendering have no covariance, so the motion prior leaves them as they are.
     #[must_use]
     pub fn trajectory(&self) -> Vec<StampedPose> {
-        self.trajectory
-            .stamped(&self.map, &self.context.config.motion)
+        let config = &self.context.config;
+        match config.tracking.method {
+            TrackingMethod::Features => self.trajectory.stamped(&self.map, &config.motion),
+            TrackingMethod::Render => self.trajectory.as_tracked(&self.map),
+        }
     }
 
     /// The keyframes' poses.

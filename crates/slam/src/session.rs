@@ -44,6 +44,7 @@ impl Slam {
         let Self {
             context,
             extractor: _, // from the configuration
+            straight: _,  // from the camera
             tracker,
             dynamics,
             map,

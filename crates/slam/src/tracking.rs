@@ -3,11 +3,13 @@
 //! | step | from | result |
 //! |---|---|---|
 //! | `motion` | constant velocity and the last frame's landmarks, or the reference keyframe's descriptors | first pose |
+//! | `by_rendering` | colour and depth of the rendered map, instead of all other steps | final pose |
 //! | `relocalise` | the keyframes that look most like the frame, if the camera is lost | first pose |
 //! | `local_map` | everything the neighbourhood's keyframes observe | links |
 //! | `shutter` | links, by the rows they lie in | turn during read-out, keypoints at the middle row |
 //! | `pose`, `depth_pose`, `subpixel` | links, depth planes, image patches | final pose |
 
+pub(crate) mod by_rendering;
 pub(crate) mod depth_pose;
 pub(crate) mod local_map;
 pub(crate) mod matching;
@@ -20,10 +22,12 @@ pub(crate) mod shutter;
 pub(crate) mod subpixel;
 
 use std::io::{Read, Write};
+use std::sync::Arc;
 
-use garad_core::{DepthImage, FrameId, KeyframeId, Se3};
+use garad_core::{DepthImage, FrameId, GaussianMap, KeyframeId, Se3};
 use garad_features::{LkPyramid, PlaceIndex};
 
+use self::by_rendering::{pixels_with_depth, pose_by_rendering};
 use self::depth_pose::{MIN_SHARE_LABELLED, refine_pose_with_depth};
 use self::local_map::local_map;
 use self::motion::{track_motion, track_reference};
@@ -31,11 +35,13 @@ use self::pose::pose_from_links;
 use self::relocalise::relocalise;
 use self::shutter::{ShutterModel, estimate_shutter};
 use self::subpixel::refine_matches;
+use crate::config::TrackingMethod;
 use crate::context::Context;
 use crate::frame::Frame;
 use crate::images::ImageStore;
 use crate::io::TrackingState;
 use crate::map::Map;
+use crate::mapping::view::Target;
 use crate::observer::{Observer, Stage};
 use crate::session::sections::{SectionReader, SectionWriter, SessionError};
 use crate::trace::Recorder;
@@ -66,6 +72,8 @@ pub struct Tracker {
     weak: bool,
     /// Global or rolling.
     shutter: ShutterModel,
+    /// The map at the last hand-over, if frames are tracked by rendering.
+    gaussians: Option<Arc<GaussianMap>>,
 }
 
 impl Default for Tracker {
@@ -80,6 +88,7 @@ impl Default for Tracker {
             usual_inliers: None,
             weak: false,
             shutter: ShutterModel::new(),
+            gaussians: None,
         }
     }
 }
@@ -123,17 +132,59 @@ impl Tracker {
         self.reference = keyframe;
     }
 
-    /// The first frame with enough depth is the world. Returns its usable keypoints, or 0.
-    pub(crate) fn initialise(&mut self, context: &Context, frame: &mut Frame) -> usize {
-        let usable = (0..frame.len())
-            .filter(|&i| frame.depth_m[i].is_some() && frame.in_use[i])
-            .count();
-        if usable < context.config.keyframes.first_min_keypoints {
+    /// The map that the next frames are compared with.
+    pub(crate) fn set_gaussians(&mut self, map: Arc<GaussianMap>) {
+        self.gaussians = Some(map);
+    }
+
+    /// The first frame with enough depth is the world. Returns its usable keypoints (pixels, if frames
+    /// are tracked by rendering), or 0.
+    pub(crate) fn initialise(
+        &mut self,
+        context: &Context,
+        frame: &mut Frame,
+        depth: &DepthImage,
+    ) -> usize {
+        let config = &context.config;
+        let with_depth = |i: &usize| frame.depth_m[*i].is_some() && frame.in_use[*i];
+        let (usable, enough) = match config.tracking.method {
+            TrackingMethod::Features => {
+                let usable = (0..frame.len()).filter(with_depth).count();
+                (usable, usable >= config.keyframes.first_min_keypoints)
+            }
+            TrackingMethod::Render => pixels_with_depth(depth, &config.render_tracking),
+        };
+        if !enough {
             return 0;
         }
         frame.camera_from_world = Se3::identity();
         self.state = TrackingState::Tracking;
         usable
+    }
+
+    /// Final pose by rendering, from where constant velocity leads; after a loss, from the last pose.
+    /// Before the first map is handed over it stays there. Returns the number of pixels compared; with
+    /// too few the camera is lost.
+    pub(crate) fn track_by_rendering(
+        &mut self,
+        context: &Context,
+        frame: &mut Frame,
+        target: &Target,
+    ) -> usize {
+        let velocity = self.velocity.unwrap_or_default();
+        let start = (self.last.as_ref()).map(|last| velocity * last.camera_from_world);
+        let found = start.and_then(|start| match &self.gaussians {
+            Some(map) => pose_by_rendering(context, map, target, &start),
+            None => Some((start, 0)),
+        });
+        if let Some((pose, pixels)) = found {
+            frame.camera_from_world = pose;
+            self.state = TrackingState::Tracking;
+            return pixels;
+        }
+        self.state = TrackingState::Lost;
+        self.velocity = None;
+        0
     }
 
     /// First pose: from the last frame; if that fails or the camera is lost, from the keyframes that look
@@ -294,6 +345,7 @@ impl Tracker {
             usual_inliers,
             weak,
             shutter,
+            gaussians,
         } = self;
         to.put("state", state)?;
         to.put("last", last)?;
@@ -302,7 +354,8 @@ impl Tracker {
         to.put("relocalised_at", relocalised_at)?;
         to.put("usual_inliers", usual_inliers)?;
         to.put("weak", weak)?;
-        to.put("shutter", shutter)
+        to.put("shutter", shutter)?;
+        to.put("tracking_map", gaussians)
     }
 
     /// Reads what [`Tracker::save`] wrote.
@@ -316,6 +369,7 @@ impl Tracker {
             usual_inliers: from.take("usual_inliers")?,
             weak: from.take("weak")?,
             shutter: from.take("shutter")?,
+            gaussians: from.take("tracking_map")?,
         })
     }
 }

@@ -20,6 +20,12 @@ struct TrackedFrame {
     information: PoseInformation,
 }
 
+impl TrackedFrame {
+    fn camera_from_world(&self, map: &Map) -> Se3 {
+        self.frame_from_reference * map.keyframe(self.reference).camera_from_world
+    }
+}
+
 /// The camera's path so far.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Trajectory(Vec<TrackedFrame>);
@@ -49,11 +55,20 @@ impl Trajectory {
 
     fn measured(&self, from: usize, map: &Map, config: &MotionConfig) -> Vec<MeasuredPose> {
         let measured = self.0[from..].iter().map(|frame| {
-            let reference_from_world = map.keyframe(frame.reference).camera_from_world;
-            let camera_from_world = frame.frame_from_reference * reference_from_world;
+            let camera_from_world = frame.camera_from_world(map);
             MeasuredPose::new(frame.t_s, camera_from_world, &frame.information, config)
         });
         measured.collect()
+    }
+
+    /// Every tracked frame's pose by the keyframes' poses as they are now.
+    #[must_use]
+    pub fn as_tracked(&self, map: &Map) -> Vec<StampedPose> {
+        let stamped = |frame: &TrackedFrame| StampedPose {
+            t_s: frame.t_s,
+            world_from_camera: frame.camera_from_world(map).inverse(),
+        };
+        self.0.iter().map(stamped).collect()
     }
 
     /// The most likely path: every tracked frame's pose by the keyframes' poses as they are now, and

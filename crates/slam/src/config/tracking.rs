@@ -54,6 +54,8 @@ impl Default for FeatureConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrackingConfig {
+    /// What the pose of a frame is found by.
+    pub method: TrackingMethod,
     /// Hamming distance up to which two descriptors may be the same point.
     pub match_distance: u32,
     /// Stricter distance for matches without a predicted position.
@@ -119,9 +121,23 @@ pub enum PointSource {
     Gaussians,
 }
 
+/// What the pose of a frame is found by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TrackingMethod {
+    /// ORB features matched with landmarks.
+    #[default]
+    Features,
+    /// The rendered map compared with colour and depth, as in SplaTAM (Keetha et al. 2024); see
+    /// [`RenderTrackingConfig`]. No features are detected, so there are no landmarks, and what is
+    /// made of them (bundle adjustment, loops, relocalisation) has nothing to work on.
+    Render,
+}
+
 impl Default for TrackingConfig {
     fn default() -> Self {
         Self {
+            method: TrackingMethod::Features,
             match_distance: 100,
             match_distance_strict: 50,
             motion_radius_px: 15.0,
@@ -140,6 +156,44 @@ impl Default for TrackingConfig {
             points: PointSource::Landmarks,
             depth_residual: DepthResidual::Disparity,
             disparity_sigma_px: 0.4,
+        }
+    }
+}
+
+/// Pose by gradient descent through the rasterizer, if `tracking.method` is `render`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RenderTrackingConfig {
+    /// Steps of Adam per frame. SplaTAM takes 40 (Replica) to 200 (TUM).
+    pub iterations: usize,
+    /// Halvings of the image that is compared: each saves about three quarters of the time.
+    pub level: usize,
+    /// Step size of the translation, metres; it falls linearly to 0 over the iterations, so that the
+    /// last steps are finer than the first. SplaTAM: 0.002, constant.
+    pub translation_rate_m: f64,
+    /// Step size of the rotation, radians; it falls likewise. SplaTAM: 0.0004 to 0.002, of a
+    /// quaternion.
+    pub rotation_rate_rad: f64,
+    /// Rendered opacity (the silhouette) above which a pixel is compared: below, the map does not
+    /// know yet what is there. SplaTAM: 0.99.
+    pub min_opacity: f64,
+    /// Weight of the colour error, metres per unit of colour in [0, 1]: the sum over the channels
+    /// beside the depth error. SplaTAM: 0.5.
+    pub lambda_color: f64,
+    /// Share of the image that must be compared; with less the camera is lost.
+    pub min_share: f64,
+}
+
+impl Default for RenderTrackingConfig {
+    fn default() -> Self {
+        Self {
+            iterations: 40,
+            level: 1,
+            translation_rate_m: 0.002,
+            rotation_rate_rad: 0.001,
+            min_opacity: 0.99,
+            lambda_color: 0.5,
+            min_share: 0.05,
         }
     }
 }

@@ -31,6 +31,7 @@ impl Config {
     /// [`ConfigError::OutOfRange`] naming the first one.
     pub fn validate(&self) -> Result<(), ConfigError> {
         let (f, t, s) = (&self.features, &self.tracking, &self.insertion);
+        let r = &self.render_tracking;
         let positive = "a positive number";
         let share = "a number in (0, 1)";
         let inside = |low: f64, v: f64, high: f64| v > low && v < high;
@@ -49,6 +50,16 @@ impl Config {
              inside(0.0, t.disparity_sigma_px, f64::INFINITY), positive),
             ("tracking.motion_radius_px", t.motion_radius_px,
              inside(0.0, t.motion_radius_px, 1e4), "a number in (0, 10000)"),
+            ("render_tracking.iterations", r.iterations as f64, r.iterations > 0, "at least 1"),
+            ("render_tracking.level", r.level as f64, r.level <= 4, "0..4"),
+            ("render_tracking.translation_rate_m", r.translation_rate_m,
+             inside(0.0, r.translation_rate_m, f64::INFINITY), positive),
+            ("render_tracking.rotation_rate_rad", r.rotation_rate_rad,
+             inside(0.0, r.rotation_rate_rad, f64::INFINITY), positive),
+            ("render_tracking.min_opacity", r.min_opacity, inside(0.0, r.min_opacity, 1.0), share),
+            ("render_tracking.lambda_color", r.lambda_color,
+             r.lambda_color >= 0.0 && r.lambda_color.is_finite(), "0 or a positive number"),
+            ("render_tracking.min_share", r.min_share, inside(0.0, r.min_share, 1.0), share),
             ("depth_planes.noise.floor_m", self.depth_planes.noise.floor_m,
              inside(0.0, self.depth_planes.noise.floor_m, f64::INFINITY), positive),
             ("depth_planes.noise.per_m", self.depth_planes.noise.per_m,

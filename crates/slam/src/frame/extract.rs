@@ -1,7 +1,7 @@
 //! [`FrameExtractor`]: from an RGB-D image to a [`Frame`].
 
 use garad_core::{FrameId, GrayImage};
-use garad_features::{OrbConfig, OrbExtractor};
+use garad_features::{Descriptor, Keypoint, OrbConfig, OrbExtractor};
 
 use super::Frame;
 use super::levels::Levels;
@@ -43,6 +43,16 @@ impl FrameExtractor {
         })
     }
 
+    /// The frame of an image, without features.
+    pub(crate) fn without_features(
+        &self,
+        context: &Context,
+        id: FrameId,
+        input: &FrameInput<'_>,
+    ) -> Frame {
+        self.frame(context, id, input, (Vec::new(), Vec::new()))
+    }
+
     /// The frame of an image, with `wanted` features at most.
     ///
     /// # Errors
@@ -58,17 +68,28 @@ impl FrameExtractor {
         self.orb.look_for(wanted);
         let features = self.orb.extract(gray, context.par);
         let features = features.map_err(|source| SlamError::Features { frame: id, source })?;
-        Ok(Frame::new(
+        let features = (features.keypoints, features.descriptors);
+        Ok(self.frame(context, id, input, features))
+    }
+
+    fn frame(
+        &self,
+        context: &Context,
+        id: FrameId,
+        input: &FrameInput<'_>,
+        (keypoints, descriptors): (Vec<Keypoint>, Vec<Descriptor>),
+    ) -> Frame {
+        Frame::new(
             id,
             input.t_s,
-            features.keypoints,
-            features.descriptors,
+            keypoints,
+            descriptors,
             input.depth,
             input.mask,
             &context.camera,
             &self.levels,
             &context.config,
-        ))
+        )
     }
 }
 

@@ -5,13 +5,14 @@
 //! motion: where the detector repeats itself badly, nearly every frame became a keyframe. What counts
 //! is how much of what was tracked since the last keyframe has been lost.
 
+use crate::config::TrackingMethod;
 use crate::context::Context;
 use crate::frame::Frame;
 use crate::map::Map;
 
 /// Whether a tracked frame becomes a keyframe; `most_inliers`: of any frame since the last one, this
 /// one included. Mapping counts as always ready: its schedule is fixed by frame numbers, so there is no
-/// queue to ask.
+/// queue to ask. Without features (tracking by rendering) it is one frame in `max_gap`.
 pub(crate) fn needs_keyframe(
     context: &Context,
     map: &Map,
@@ -22,6 +23,9 @@ pub(crate) fn needs_keyframe(
     let config = &context.config.keyframes;
     let since_last = frame.id.0 - map.last_keyframe_frame().0;
     let gap = usize::try_from(since_last).unwrap_or(usize::MAX);
+    if context.config.tracking.method == TrackingMethod::Render {
+        return gap >= config.max_gap;
+    }
     if gap < config.min_gap.max(1) || inliers < config.min_inliers {
         return false;
     }

@@ -1,6 +1,7 @@
 //! [`MappingJob`], [`MappingDone`] and [`MapFeedback`]: what tracking hands to the mapper, and what comes back.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use garad_core::{
     DepthImage, FrameId, GaussianMap, KeyframeId, Label, LandmarkId, MaskImage, RgbImage, Se3,
@@ -65,6 +66,8 @@ pub struct MapFeedback {
     pub positions: Vec<(LandmarkId, Vector3<f64>)>,
     /// The dynamic Gaussians alone, for the Gaussian mask.
     pub dynamic: Option<GaussianMap>,
+    /// The map as the job left it, if frames are tracked by rendering.
+    pub map: Option<Arc<GaussianMap>>,
 }
 
 /// The outcome of a job.

@@ -10,6 +10,7 @@
 
 use std::io::{Read, Write};
 use std::ops::RangeInclusive;
+use std::sync::Arc;
 
 use garad_core::{GaussianMap, Label, LandmarkId, Se3};
 use garad_crf::Crf;
@@ -23,7 +24,9 @@ use super::relabel::{Relabelled, assert_labels_agree, push_labels, relabel};
 use super::train::{Pick, TrainStep, Trainer, TrainingScene};
 use super::view::TrainingView;
 use super::view_mask::{LaterView, ViewDepth};
-use crate::config::{ConfigError, DensifyConfig, InitialScale, PointSource, TaggedLabels};
+use crate::config::{
+    ConfigError, DensifyConfig, InitialScale, PointSource, TaggedLabels, TrackingMethod,
+};
 use crate::context::Context;
 use crate::dynamics::free_space::FreeSpace;
 use crate::dynamics::gaussian_field::{LabelledGaussian, label_tagged, labels_by_vote};
@@ -280,6 +283,8 @@ impl Mapper {
             });
             feedback.positions = tagged.collect();
         }
+        let renders = config.tracking.method == TrackingMethod::Render;
+        feedback.map = renders.then(|| Arc::new(map.clone()));
         if config.labels.source.has_gaussians() {
             let mut dynamic = map.clone();
             dynamic.retain(|row| map.label[row] == Label::Dynamic);

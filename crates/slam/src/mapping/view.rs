@@ -28,7 +28,7 @@ pub struct TrainingView {
     uses: usize,
 }
 
-/// The target of one iteration.
+/// A recorded image as a rendered one is compared with it.
 #[derive(Debug, Clone)]
 pub(crate) struct Target {
     pub(crate) camera: Camera,
@@ -100,8 +100,7 @@ impl TrainingView {
         level
     }
 
-    /// Undistorted, in [0, 1], halved `level` times (eq. 16). Depth is subsampled, not smoothed:
-    /// the mean of two surfaces is on neither.
+    /// See [`Target::new`].
     pub(crate) fn target(
         &self,
         camera: &Camera,
@@ -109,15 +108,30 @@ impl TrainingView {
         level: usize,
         par: Par,
     ) -> Target {
-        let color = gaussian_pyramid(straight.color(&self.rgb, par), level);
+        let (depth, moving) = (self.depth.as_ref(), self.moving.as_ref());
+        Target::new(camera, straight, (&self.rgb, depth, moving), level, par)
+    }
+}
+
+impl Target {
+    /// Undistorted, in [0, 1], halved `level` times (eq. 16). Depth is subsampled, not smoothed:
+    /// the mean of two surfaces is on neither. `moving`: not 0 where something moves.
+    pub(crate) fn new(
+        camera: &Camera,
+        straight: &Undistortion,
+        (rgb, depth, moving): (&RgbImage, Option<&DepthImage>, Option<&MaskImage>),
+        level: usize,
+        par: Par,
+    ) -> Self {
+        let color = gaussian_pyramid(straight.color(rgb, par), level);
         let mut excluded = straight.unseen();
-        if let Some(moving) = &self.moving {
+        if let Some(moving) = moving {
             let moving = straight.nearest(moving, 255);
             for (excluded, moving) in excluded.data_mut().iter_mut().zip(moving.data()) {
                 *excluded |= moving;
             }
         }
-        let mut depth = self.depth.as_ref().map(|d| straight.nearest(d, 0.0));
+        let mut depth = depth.map(|d| straight.nearest(d, 0.0));
         for _ in 0..level {
             excluded = mask::halve(&excluded);
             depth = depth.map(|d| {
@@ -126,7 +140,7 @@ impl TrainingView {
                 })
             });
         }
-        Target {
+        Self {
             camera: Camera {
                 distortion: Distortion::default(),
                 ..camera.level(level)

@@ -199,9 +199,9 @@ mod tests {
             );
         }
         let mut newer = written();
-        newer[MAGIC.len()] = 9;
+        newer[MAGIC.len()] = 99;
         assert!(
-            matches!(read(&newer), Err(SessionError::Format { saved: 9 })),
+            matches!(read(&newer), Err(SessionError::Format { saved: 99 })),
             "format"
         );
         let mut older = written();
