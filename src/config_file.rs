@@ -109,16 +109,6 @@ mod tests {
     }
 
     #[test]
-    fn the_profiles_are_valid() {
-        let profiles = Path::new(env!("CARGO_MANIFEST_DIR")).join("profiles");
-        let files = std::fs::read_dir(&profiles).expect("a folder");
-        for file in files {
-            let path = file.expect("readable").path();
-            read(&path).unwrap_or_else(|error| panic!("{error:#}"));
-        }
-    }
-
-    #[test]
     fn nested_keys_leave_other_defaults_alone() {
         let text = "[crf.kernels]\nsigma_m = 0.3\n[crf.unary.depth]\nmean = 3.0\n\
                     [labels.noise]\nfloor_m = 0.02\n";
