@@ -33,7 +33,7 @@ fn frames(scene: &Scene) -> Vec<SynthFrame> {
 fn start(scene: &Scene, par: Par) -> Slam {
     let mut config = Config::default();
     config.tracking.method = TrackingMethod::Render;
-    config.render_tracking.iterations = 20;
+    config.render_tracking.iterations = 12;
     config.render_tracking.level = 0;
     config.keyframes.max_gap = 5;
     config.schedule.handover_frames = 1;

@@ -175,7 +175,9 @@ pub struct RenderTrackingConfig {
     /// quaternion.
     pub rotation_rate_rad: f64,
     /// Rendered opacity (the silhouette) above which a pixel is compared: below, the map does not
-    /// know yet what is there. SplaTAM: 0.99.
+    /// know yet what is there. SplaTAM: 0.99. New Gaussians must overlap enough to reach it before they
+    /// are trained (`insertion.stride_px`, `footprint`, `opacity`: see `profiles/splatam.toml`); those
+    /// of the defaults do not.
     pub min_opacity: f64,
     /// Weight of the colour error, metres per unit of colour in [0, 1]: the sum over the channels
     /// beside the depth error. SplaTAM: 0.5.
