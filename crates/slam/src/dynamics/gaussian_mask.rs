@@ -7,10 +7,10 @@
 //!                                        landmarks restored, and their Gaussians at the next job ←─┘
 //! ```
 
-use garad_core::{Camera, GaussianMap, Label, LandmarkId, MaskImage};
+use garad_core::{Camera, DepthImage, GaussianMap, Label, LandmarkId, MaskImage};
 use garad_features::LkPyramid;
 use garad_raster::{RenderOptions, Rendered, fast};
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 
 use super::flow_check::at_rest;
 use super::mask::{label_at, mask_from_beliefs};
@@ -18,6 +18,7 @@ use super::past::ReferenceImage;
 use super::samples::{FrameView, Lattice, Sample, keypoint_samples};
 use crate::config::GaussianMaskConfig;
 use crate::context::Context;
+use crate::frame::keypoint_depth::nearest_pixel;
 use crate::frame::{Frame, FrameLabels};
 use crate::map::Map;
 use crate::mapping::coarse_to_fine::TOP_LEVEL;
@@ -32,17 +33,38 @@ pub(crate) struct GaussianMask<'a> {
 }
 
 impl<'a> GaussianMask<'a> {
-    /// Renders them from the frame's pose.
-    pub(crate) fn render(context: &'a Context, dynamic: &GaussianMap, frame: &Frame) -> Self {
+    /// Renders them from the frame's pose, without those whose surface has gone: at their means the frame's depth, if
+    /// it is known and to be compared, is another.
+    pub(crate) fn render(
+        context: &'a Context,
+        dynamic: &GaussianMap,
+        frame: &Frame,
+        depth: &DepthImage,
+    ) -> Self {
+        let (camera, config) = (&context.camera, &context.config.labels.gaussian_mask);
+        let is_there = |mean: &[f32; 3]| {
+            let p_cam = frame.camera_from_world * Vector3::from(mean.map(f64::from));
+            let px = camera
+                .project(&p_cam)
+                .map(|uv_px| camera.distort_pixel(&uv_px));
+            let at = px.and_then(|px| nearest_pixel(&px, depth.size()));
+            let measured_m = at.map(|at| f64::from(depth[at])).filter(|z| *z > 0.0);
+            measured_m.is_none_or(|z| (z - p_cam.z).abs() < config.depth_m)
+        };
+        let mut dynamic = dynamic.clone();
+        if config.depth_m > 0.0 {
+            let keep: Vec<bool> = dynamic.means.iter().map(is_there).collect();
+            dynamic.retain(|i| keep[i]);
+        }
         let options = RenderOptions::default();
         let level = |level| {
             let camera = context.camera.level(level);
             let pose = &frame.camera_from_world;
-            fast::render(dynamic, &camera, pose, &options, context.par)
+            fast::render(&dynamic, &camera, pose, &options, context.par)
                 .expect("the Gaussians of a map and a finite pose")
         };
         Self {
-            config: &context.config.labels.gaussian_mask,
+            config,
             levels: (0..=TOP_LEVEL).map(level).collect(),
         }
     }
@@ -136,7 +158,7 @@ pub(crate) fn label_by_mask(
 ) -> FrameLabels {
     let FrameView { frame, depth, .. } = view;
     let (camera, config) = (&context.camera, &context.config.labels);
-    let mask = GaussianMask::render(context, given.dynamic, frame);
+    let mask = GaussianMask::render(context, given.dynamic, frame, depth);
     let scale = |i: usize| context.scales[usize::from(frame.keypoints[i].level)];
     let label = (0..frame.len()).map(|i| mask.label(&frame.uv_px[i], scale(i), frame.depth_m[i]));
     let mut label: Vec<Label> = label.collect();
