@@ -62,6 +62,7 @@ fn training(criterion: &mut Criterion) {
                         let scene = TrainingScene {
                             poses: &[Se3::identity()],
                             extent_m: 1.0,
+                            window_runs: 10,
                         };
                         let (par, recorder) = (Par::new(threads), &mut Recorder::default());
                         let map = black_box(&mut map);

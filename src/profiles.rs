@@ -17,9 +17,11 @@ pub struct Profile {
 #[rustfmt::skip]
 pub const PROFILES: &[Profile] = &[
     Profile { name: "default", about: "the best settings we know", toml: include_str!("../profiles/default.toml") },
+    Profile { name: "paper", about: "the paper's system, every reading as printed", toml: include_str!("../profiles/paper.toml") },
     Profile { name: "paper_tuned", about: "the paper's loop, its free choices made on recordings", toml: include_str!("../profiles/paper_tuned.toml") },
     Profile { name: "orb_slam", about: "static tracking, no map: the role of ORB-SLAM3", toml: include_str!("../profiles/orb_slam.toml") },
     Profile { name: "photo_slam", about: "static tracking and mapping, no labels: the role of Photo-SLAM", toml: include_str!("../profiles/photo_slam.toml") },
+    Profile { name: "nid_slam", about: "labels from optical flow alone, mapping: the role of NID-SLAM", toml: include_str!("../profiles/nid_slam.toml") },
     Profile { name: "splatam", about: "tracking by rendering, no features, no labels: the role of SplaTAM", toml: include_str!("../profiles/splatam.toml") },
 ];
 

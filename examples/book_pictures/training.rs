@@ -34,6 +34,7 @@ pub(crate) fn coarse_to_fine() -> Drawn {
     let keyframes = TrainingScene {
         poses: &poses,
         extent_m: 1.0,
+        window_runs: 10,
     };
     let mut map = GaussianMap::new(0);
     let mut trainer = Trainer::new(&camera, 0)?;

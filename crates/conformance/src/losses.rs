@@ -35,8 +35,11 @@ pub(crate) fn losses<T: Real + Element>(
             out.image("by_opacity", &loss.opacity);
         }
         "opacity" => {
-            let loss =
-                opacity_penalty(&reals::<T>(inputs, "logits")?, &labels(inputs, "dynamic")?)?;
+            let loss = opacity_penalty(
+                &reals::<T>(inputs, "logits")?,
+                &labels(inputs, "dynamic")?,
+                None,
+            )?;
             out.put("value", [loss.value]);
             out.put("gradient", loss.opacity_logits);
         }

@@ -177,7 +177,7 @@ fn iteration<T: Real>(
         inputs.number("min_opacity")?,
         Some(&excluded),
     )?;
-    let penalty = opacity_penalty(&map.opacity_logits, &map.label)?;
+    let penalty = opacity_penalty(&map.opacity_logits, &map.label, None)?;
     let by_image = weight("lambda_photometric")?;
     let (by_depth, by_label) = (weight("lambda_depth")?, weight("lambda_dynamic")?);
     let upstream = Upstream {

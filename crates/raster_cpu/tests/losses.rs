@@ -347,7 +347,7 @@ fn wrong_sizes_and_weights_are_errors() {
             "{value}"
         );
     }
-    let short = opacity_penalty(&[0.0f64, 1.0], &[Label::Dynamic]);
+    let short = opacity_penalty(&[0.0f64, 1.0], &[Label::Dynamic], None);
     assert!(
         matches!(short, Err(RasterError::MapLength { array: "label", .. })),
         "{short:?}"

@@ -20,8 +20,8 @@ pub use labels::{
     TaggedLabels,
 };
 pub use mapping::{
-    DensifyConfig, InitialScale, InsertionConfig, Optimiser, RateConfig, ScheduleConfig,
-    TrainConfig,
+    DensifyConfig, DynamicWeight, InitialScale, InsertionConfig, Optimiser, RateConfig,
+    ScheduleConfig, TrainConfig,
 };
 pub use tracking::{
     DepthPlanesConfig, DepthResidual, FeatureConfig, MotionConfig, PointSource,

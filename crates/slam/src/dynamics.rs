@@ -48,7 +48,7 @@ use garad_features::LkPyramid;
 
 use self::bootstrap::{BootstrapBuffer, FutureView, future_views, patch_motion_pyramid};
 use self::evidence::{FreeSpaceHistory, HistoryView};
-use self::field::label_samples;
+use self::field::{label_by_flow, label_samples};
 use self::free_space::FreeSpace;
 use self::gaussian_mask::{CellCentres, MaskLabelling, label_by_mask};
 use self::landmarks::{
@@ -56,7 +56,7 @@ use self::landmarks::{
 };
 use self::past::{PastView, reference_images};
 use self::samples::{FrameView, Lattice};
-use crate::config::ConfigError;
+use crate::config::{ConfigError, LabelSource};
 use crate::context::Context;
 use crate::frame::{Frame, FrameLabels};
 use crate::io::{FrameInput, SlamError, TrackingState};
@@ -143,6 +143,9 @@ impl Dynamics {
         }
         let references = reference_images(context, map, &self.past, &self.future, now);
         let source = context.config.labels.source;
+        if source == LabelSource::Flow {
+            return label_by_flow(context, view, &self.lattice, &references, recorder);
+        }
         let by_mask = source.has_gaussians().then(|| {
             let given = MaskLabelling {
                 dynamic: &self.dynamic_gaussians,

@@ -14,7 +14,7 @@ use garad_core::undistort::Undistortion;
 use garad_core::{Camera, DepthImage, FrameId, KeyframeId, Label, Par};
 use garad_features::{LkPyramid, PlaceConfig, PlaceIndex};
 
-use crate::config::{Config, TrackingMethod};
+use crate::config::{Config, LabelSource, TrackingMethod};
 use crate::context::Context;
 use crate::dynamics::bootstrap::{BootstrapBuffer, FutureView};
 use crate::dynamics::samples::FrameView;
@@ -426,9 +426,14 @@ impl Slam {
                 cells: cells.as_ref(),
             };
             (self.dynamics).add_view(context, map, view);
-            match config.labels.source.has_gaussians() {
-                true => cues = self.dynamics.local_cues(context, map, id),
-                false => labels = self.dynamics.label_keyframe(context, map, id, recorder),
+            match config.labels.source {
+                LabelSource::Frames => {
+                    labels = self.dynamics.label_keyframe(context, map, id, recorder);
+                }
+                LabelSource::Gaussians | LabelSource::Both => {
+                    cues = self.dynamics.local_cues(context, map, id);
+                }
+                LabelSource::Flow => {}
             }
             observer.end(Stage::LabelMap);
         }

@@ -84,6 +84,9 @@ pub enum LabelSource {
     Gaussians,
     /// Over both; a keypoint in either mask is dynamic.
     Both,
+    /// Nowhere: a sample of a frame is dynamic if its flow is not that of the others (eq. 10), and landmarks and
+    /// Gaussians keep their labels.
+    Flow,
 }
 
 impl LabelSource {

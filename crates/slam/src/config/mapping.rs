@@ -77,6 +77,8 @@ pub struct TrainConfig {
     pub lambda_photometric: f64,
     /// Weight of the penalty on dynamic Gaussians (eq. 12).
     pub lambda_dynamic: f64,
+    /// The weight of each dynamic Gaussian in that penalty.
+    pub dynamic_weight: DynamicWeight,
     /// Share of 1 - SSIM in the photometric loss (eq. 13).
     pub lambda_ssim: f64,
     /// Weight of the depth error, 1/m. The paper has no such term: 0 is its loss. Without it white
@@ -93,6 +95,18 @@ pub struct TrainConfig {
     pub sh_every: usize,
     /// Step sizes.
     pub rates: RateConfig,
+}
+
+/// The weight wᵢ of a dynamic Gaussian in the penalty Σ wᵢ αᵢ² of eq. 12.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DynamicWeight {
+    /// 1, as the equation has it.
+    #[default]
+    Uniform,
+    /// Dynamic runs among the last n of its window, over n: what the text calls the credibility of the label (the
+    /// share of dynamic runs) and the duration of observation (the share of n there has been).
+    BeliefAndAge,
 }
 
 /// The paper's text says "SGD"; the code it builds on uses Adam.
@@ -125,6 +139,7 @@ impl Default for TrainConfig {
             uses_per_level: 8,
             lambda_photometric: 0.8,
             lambda_dynamic: 0.2,
+            dynamic_weight: DynamicWeight::Uniform,
             lambda_ssim: 0.2,
             lambda_depth: 0.2,
             exclude_moving: true,
@@ -152,8 +167,11 @@ pub struct DensifyConfig {
     pub young_keyframes: u32,
     /// Those with a standard deviation above this share of the path's extent are split.
     pub split_extent: f64,
-    /// Static Gaussians less opaque than this are dropped.
+    /// Static Gaussians less opaque than this are dropped, ...
     pub min_opacity: f64,
+    /// ... and those with a standard deviation above a tenth of the path's extent, as the paper and 3D Gaussian
+    /// Splatting have it.
+    pub prune_large: bool,
     /// Gaussians at most, clones and children included.
     pub max_gaussians: usize,
 }
@@ -167,6 +185,7 @@ impl Default for DensifyConfig {
             young_keyframes: 100,
             split_extent: 0.01,
             min_opacity: 0.05,
+            prune_large: false,
             max_gaussians: 400_000,
         }
     }

@@ -10,7 +10,7 @@ use garad_core::{Label, Real};
 use garad_crf::{Crf, Cues, Node, unary};
 
 use super::evidence::{DepthEvidence, FreeSpaceHistory};
-use super::flow_check::at_rest;
+use super::flow_check::{at_rest, outliers};
 use super::mask::{label_at, mask_from_beliefs};
 use super::past::ReferenceImage;
 use super::patch_motion::add_patch_motion;
@@ -90,27 +90,69 @@ pub(crate) fn label_samples(
         beliefs = infer(&evidence, recorder);
     }
 
-    let (of_keypoints, of_lattice) = beliefs.dynamic.split_at(keypoints.len());
+    let labels = labels_from_beliefs(
+        context,
+        view,
+        lattice,
+        (&keypoints, &blocks),
+        &beliefs.dynamic,
+    );
+    recorder.record("masks", |record| record.labels(&labels));
+    Some(labels)
+}
+
+/// Labels a frame's keypoints and mask by their flow since the reference image nearest to `rest_frames`, against
+/// that of all samples (`labels.source = "flow"`). `None` without an image.
+pub(crate) fn label_by_flow(
+    context: &Context,
+    view: FrameView<'_>,
+    lattice: &Lattice,
+    references: &[ReferenceImage<'_>],
+    recorder: &mut Recorder,
+) -> Option<FrameLabels> {
+    let off = |r: &&ReferenceImage<'_>| r.age_frames.abs_diff(context.config.labels.rest_frames);
+    let reference = references.iter().min_by_key(off)?;
+    let keypoints = keypoint_samples(view.frame, &context.camera);
+    let blocks = lattice.samples(view.frame, view.depth, context);
+    let samples: Vec<Sample> = (keypoints.iter().map(|(_, sample)| *sample))
+        .chain(blocks.iter().flatten().copied())
+        .collect();
+    let moves = outliers(context, view.pyramid?, *reference, &samples, recorder);
+    let beliefs: Vec<f64> = moves.into_iter().map(|m| f64::from(u8::from(m))).collect();
+    let labels = labels_from_beliefs(context, view, lattice, (&keypoints, &blocks), &beliefs);
+    recorder.record("masks", |record| record.labels(&labels));
+    Some(labels)
+}
+
+/// The labels of a frame from the beliefs of its samples, keypoints before the lattice.
+fn labels_from_beliefs(
+    context: &Context,
+    FrameView { frame, depth, .. }: FrameView<'_>,
+    lattice: &Lattice,
+    (keypoints, blocks): (&[(usize, Sample)], &[Option<Sample>]),
+    beliefs: &[f64],
+) -> FrameLabels {
+    let config = &context.config;
+    let threshold = config.crf.threshold;
+    let (of_keypoints, of_lattice) = beliefs.split_at(keypoints.len());
     let edge_ratio = config.labels.edge_ratio;
-    let cells = mask_from_beliefs(lattice, &blocks, of_lattice, depth, edge_ratio, threshold);
+    let cells = mask_from_beliefs(lattice, blocks, of_lattice, depth, edge_ratio, threshold);
     let mut label: Vec<Label> = frame.px.iter().map(|px| label_at(&cells, px)).collect();
     // Keypoints crowd where there is texture and support each other there; the lattice is even.
     for ((i, _), belief) in keypoints.iter().zip(of_keypoints) {
-        if *belief > config.crf.threshold {
+        if *belief > threshold {
             label[*i] = Label::Dynamic;
         }
     }
     let near = mask::dilated(&cells, config.labels.reach_px.div_ceil(CELL_PX));
     let in_use = (frame.px.iter().zip(&label))
         .map(|(px, label)| *label == Label::Static && label_at(&near, px) == Label::Static);
-    let labels = FrameLabels {
+    FrameLabels {
         in_use: in_use.collect(),
         label,
         cells,
         restored: Vec::new(),
-    };
-    recorder.record("masks", |record| record.labels(&labels));
-    Some(labels)
+    }
 }
 
 /// Share of suspects among the samples that the history judges; 0 if it judges none.

@@ -31,19 +31,63 @@ pub(crate) fn at_rest(
     suspected: &[bool],
     recorder: &mut Recorder,
 ) -> Vec<bool> {
-    let mut rests = vec![false; samples.len()];
-    let (camera, config) = (&context.camera, &context.config.flow);
-    if !config.enabled {
-        return rests;
-    }
     let of = |wanted: bool| (0..samples.len()).filter(move |i| suspected[*i] == wanted);
     let suspects: Vec<usize> = of(true).collect();
-    let all_static: Vec<usize> = of(false).collect();
-    if suspects.is_empty() || all_static.is_empty() {
-        return rests;
+    let support: Vec<usize> = of(false).collect();
+    let inside = inside(
+        context,
+        pyramid,
+        reference,
+        samples,
+        [support, suspects],
+        recorder,
+    );
+    inside
+        .into_iter()
+        .map(|inside| inside == Some(true))
+        .collect()
+}
+
+/// Which samples do not flow as the others do: outside of the model of all of them (eq. 10).
+pub(crate) fn outliers(
+    context: &Context,
+    pyramid: &LkPyramid,
+    reference: ReferenceImage<'_>,
+    samples: &[Sample],
+    recorder: &mut Recorder,
+) -> Vec<bool> {
+    let all: Vec<usize> = (0..samples.len()).collect();
+    let inside = inside(
+        context,
+        pyramid,
+        reference,
+        samples,
+        [all.clone(), all],
+        recorder,
+    );
+    inside
+        .into_iter()
+        .map(|inside| inside == Some(false))
+        .collect()
+}
+
+/// Whether the flow of each suspect is within the model of the support's; `None` for other samples, those that
+/// Lucas-Kanade lost, and without a model.
+fn inside(
+    context: &Context,
+    pyramid: &LkPyramid,
+    reference: ReferenceImage<'_>,
+    samples: &[Sample],
+    [support, suspects]: [Vec<usize>; 2],
+    recorder: &mut Recorder,
+) -> Vec<Option<bool>> {
+    let mut inside = vec![None; samples.len()];
+    let (camera, config) = (&context.camera, &context.config.flow);
+    if !config.enabled || suspects.is_empty() || support.is_empty() {
+        return inside;
     }
-    let every = all_static.len().div_ceil(MAX_SUPPORT);
-    let support: Vec<usize> = all_static.into_iter().step_by(every).collect();
+    let every = support.len().div_ceil(MAX_SUPPORT);
+    let support: Vec<usize> = support.into_iter().step_by(every).collect();
     let tracked: Vec<usize> = support.iter().chain(&suspects).copied().collect();
 
     // Backwards in time, so that the points are this frame's samples.
@@ -91,9 +135,9 @@ pub(crate) fn at_rest(
         record.flow(&model, &flows, &verification);
     });
     for (i, verdict) in judged.into_iter().zip(verification.verdicts) {
-        rests[i] = verdict.is_some_and(|v| v.inside);
+        inside[i] = verdict.map(|v| v.inside);
     }
-    rests
+    inside
 }
 
 #[cfg(test)]

@@ -104,6 +104,18 @@ pub(crate) fn densify(
     split
 }
 
+/// Standard deviation from which a Gaussian is too large, as a share of the path's extent.
+const LARGE_EXTENT: f64 = 0.1;
+
+/// Marks the static Gaussians that are too large (`densify.prune_large`).
+pub(crate) fn too_large(map: &GaussianMap, extent_m: f64) -> Vec<bool> {
+    let most = Real::ln(LARGE_EXTENT * extent_m).to_f32();
+    let scales = map.log_scales.iter().zip(&map.label);
+    scales
+        .map(|(log_scales, label)| *label == Label::Static && log_scales.iter().any(|s| *s > most))
+        .collect()
+}
+
 /// Marks the static Gaussians less opaque than `min_opacity`. Dynamic ones fade by the penalty of
 /// eq. 12 and are removed by eq. 7.
 pub(crate) fn faded(map: &GaussianMap, min_opacity: f64) -> Vec<bool> {
@@ -185,6 +197,16 @@ mod tests {
         let ratio = Real::exp(map.log_scales[1][0] - map.log_scales[4][0]);
         assert!((ratio - 1.6).abs() < 1e-5, "smaller by {ratio}");
         map.validate().expect("consistent");
+    }
+
+    /// A path of 2 m: 0.2 m is the limit.
+    #[test]
+    fn large_static_ones_are_marked() {
+        let mut map = map(&[0.19, 0.21, 0.21]);
+        map.label[2] = Label::Dynamic;
+        assert_eq!(too_large(&map, 2.0), [false, true, false]);
+        map.log_scales[0][1] = Real::ln(0.3f32);
+        assert!(too_large(&map, 2.0)[0], "one axis is enough");
     }
 
     #[test]

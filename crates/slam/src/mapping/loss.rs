@@ -24,8 +24,8 @@ pub(crate) struct TrainingLoss {
 ///
 /// L = λ_p-ssim L_p-ssim + λ_depth L_depth + λ_dyn L_dyn
 ///
-/// with L_p-ssim of eq. 13 ([`photometric`]) and L_dyn = Σ α² over the dynamic Gaussians
-/// ([`opacity_penalty`]).
+/// with L_p-ssim of eq. 13 ([`photometric`]) and L_dyn = Σ wᵢ αᵢ² over the dynamic Gaussians
+/// ([`opacity_penalty`]); wᵢ = 1 unless `weights` are given.
 ///
 /// # Errors
 /// [`RasterError`] for images of other sizes.
@@ -33,6 +33,7 @@ pub(crate) fn training_loss(
     rendered: &Rendered<f32>,
     target: &Target,
     map: &GaussianMap,
+    weights: Option<&[f32]>,
     config: &TrainConfig,
     par: Par,
 ) -> Result<TrainingLoss, RasterError> {
@@ -56,7 +57,7 @@ pub(crate) fn training_loss(
         None => None,
     };
     let penalty = match map.label.contains(&Label::Dynamic) {
-        true => Some(opacity_penalty(&map.opacity_logits, &map.label)?),
+        true => Some(opacity_penalty(&map.opacity_logits, &map.label, weights)?),
         false => None,
     };
     let value_of_depth = depth.as_ref().map_or(0.0, |depth| depth.value);

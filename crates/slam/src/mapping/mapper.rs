@@ -455,6 +455,7 @@ impl Mapper {
         let scene = TrainingScene {
             poses: &self.poses,
             extent_m: self.extent_m,
+            window_runs: self.context.config.labels.window.runs,
         };
         self.trainer.step(
             &mut self.gaussians,

@@ -8,18 +8,20 @@
 use std::io::{Read, Write};
 
 use garad_core::undistort::Undistortion;
-use garad_core::{Camera, GaussianMap, KeyframeId, Par, Rng, Se3};
+use garad_core::{Camera, GaussianMap, KeyframeId, Par, Real, Rng, Se3};
 use garad_crf::LabelWindow;
 use garad_optim::{Adam, AdamConfig, OptimError, sgd};
 use garad_raster::{Gradients, Include, RenderOptions, fast};
 use serde::{Deserialize, Serialize};
 
-use super::densify::{Densifier, densify, faded};
+use super::densify::{Densifier, densify, faded, too_large};
 use super::error::TrainError;
 use super::loss::training_loss;
 use super::view::{TrainingView, least_needed};
 use super::view_mask::LaterView;
-use crate::config::{DensifyConfig, LabelConfig, Optimiser, RateConfig, TrainConfig};
+use crate::config::{
+    DensifyConfig, DynamicWeight, LabelConfig, Optimiser, RateConfig, TrainConfig,
+};
 use crate::session::sections::{SectionReader, SectionWriter, SessionError};
 use crate::trace::Recorder;
 
@@ -92,13 +94,21 @@ pub struct TrainStep {
     pub gaussians: usize,
 }
 
-/// What training reads of the camera's path.
+/// What training reads of the camera's path, and of the labels' retention.
 #[derive(Debug, Clone, Copy)]
 pub struct TrainingScene<'a> {
     /// camera_from_world of every keyframe.
     pub poses: &'a [Se3],
     /// Extent of the path: it scales the steps of the means and says which Gaussians are large.
     pub extent_m: f64,
+    /// n of eq. 7.
+    pub window_runs: u32,
+}
+
+/// [`DynamicWeight::BeliefAndAge`]: dynamic runs among the last n, over n.
+fn belief_and_age(windows: &[LabelWindow], n: u32) -> Vec<f32> {
+    let share = |window: &LabelWindow| f64::from(window.dynamic_runs(n)) / f64::from(n);
+    windows.iter().map(|w| share(w).to_f32()).collect()
 }
 
 impl Trainer {
@@ -251,7 +261,11 @@ impl Trainer {
         };
         let camera = &target.camera;
         let rendered = fast::render(map, camera, &pose, &options, par)?;
-        let loss = training_loss(&rendered, &target, map, config, par)?;
+        let weights = match config.dynamic_weight {
+            DynamicWeight::Uniform => None,
+            DynamicWeight::BeliefAndAge => Some(belief_and_age(&self.windows, scene.window_runs)),
+        };
+        let loss = training_loss(&rendered, &target, map, weights.as_deref(), config, par)?;
         let upstream = &loss.upstream;
         let mut gradients = fast::backward(map, camera, &pose, &options, &rendered, upstream, par)?;
         if let Some(penalty) = loss.opacity_logits {
@@ -303,8 +317,12 @@ impl Trainer {
             }
         }
         let faded = faded(map, config.min_opacity);
+        let large = match config.prune_large {
+            true => too_large(map, extent_m),
+            false => vec![false; map.len()],
+        };
         let keep: Vec<bool> = (0..map.len())
-            .map(|i| !faded[i] && !split.get(i).copied().unwrap_or(false))
+            .map(|i| !faded[i] && !large[i] && !split.get(i).copied().unwrap_or(false))
             .collect();
         self.retain(map, &keep);
     }
