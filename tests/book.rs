@@ -507,7 +507,7 @@ fn examples_by_hand_of_splats_and_losses() {
     near(1.0 / round.inv_var_y, 25.3, "variance of a round splat");
     assert_eq!(round.radius_px, 16, "its radius");
 
-    let penalty = opacity_penalty(&[3.0f64], &[Label::Dynamic]).expect("one label each");
+    let penalty = opacity_penalty(&[3.0f64], &[Label::Dynamic], None).expect("one label each");
     near(
         penalty.opacity_logits[0],
         0.086,
