@@ -104,7 +104,8 @@ impl Dynamics {
     /// [`SlamError::Config`] for an invalid setting of the field.
     pub fn new(context: &Context) -> Result<Self, SlamError> {
         let labels = &context.config.labels;
-        let restarts = labels.enabled && labels.bootstrap_restart && labels.source.has_frames();
+        let restarts =
+            labels.enabled && labels.bootstrap_restart && labels.source != LabelSource::Flow;
         Ok(Self {
             lattice: Lattice::new(&context.camera, labels.step_px),
             crf: Crf::new(context.config.crf.clone()).map_err(ConfigError::from)?,
@@ -156,7 +157,8 @@ impl Dynamics {
             };
             label_by_mask(context, view, given, recorder)
         });
-        if !source.has_frames() {
+        // While the first frames are processed again, there are future views and hardly any Gaussian.
+        if source == LabelSource::Gaussians && self.future.is_empty() {
             return by_mask;
         }
         let history = self.history(context, map, now);

@@ -90,12 +90,6 @@ pub enum LabelSource {
 }
 
 impl LabelSource {
-    /// Whether samples of every frame are labelled.
-    #[must_use]
-    pub fn has_frames(self) -> bool {
-        matches!(self, Self::Frames | Self::Both)
-    }
-
     /// Whether tagged Gaussians are labelled, and their mask is rendered.
     #[must_use]
     pub fn has_gaussians(self) -> bool {
