@@ -52,7 +52,7 @@ impl LoopRun {
             ..SceneConfig::new(SceneName::Walking)
         })?;
         let config = layered(&[Profile::find("paper_tuned")?.layer()])?;
-        let slam = Slam::new(scene.camera().clone(), config.clone(), 0, par())?;
+        let slam = Slam::new(scene.camera(), config.clone(), 0, par())?;
         let mut slam = slam.with_trace(FRAME - RECORDED..=FRAME);
         let process = |slam: &mut Slam, i: u32| -> Result<_, Box<dyn Error>> {
             let frame = scene.frame(i as usize, par());
@@ -81,7 +81,7 @@ impl LoopRun {
         let (frame, report) = process(&mut slam, FRAME)?;
         slam.finish()?;
         Ok(Self {
-            camera: scene.camera().clone(),
+            camera: scene.camera(),
             config,
             frame,
             camera_from_world: report.camera_from_world.ok_or("a pose")?,
