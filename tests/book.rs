@@ -10,12 +10,14 @@ use garad_core::pyramid::halve;
 use garad_core::{
     Camera, GaussianMap, GrayImage, KeyframeId, Label, NewGaussian, Par, Real, Se3, So3,
 };
+use garad_crf::unary::log_odds;
+use garad_crf::{Crf, CrfConfig, Cues, Node};
 use garad_features::fast9::{CIRCLE, corners};
 use garad_golden::stages::STAGES;
 use garad_optim::RobustKernel;
 use garad_raster::losses::opacity_penalty;
 use garad_raster::{RenderOptions, render};
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 
 const MAX_IMAGES_BYTES: u64 = 3 * 1024 * 1024;
 
@@ -258,6 +260,30 @@ fn the_map_from_the_paper_names_what_exists() {
     none(&problems);
 }
 
+/// Each function that the sentences of the paper are given is in the file named before it.
+#[test]
+fn sentences_of_the_paper_have_functions() {
+    let map = read(&root().join("docs/paper_map.md"));
+    let (mut problems, mut named) = (Vec::new(), 0);
+    for row in table(&map, "Sentence by sentence") {
+        for cell in &row[2..4] {
+            let mut code = String::new();
+            for name in quoted(cell) {
+                if name.ends_with(".rs") {
+                    code = read(&path_of_map(name));
+                } else if !name.contains('.') {
+                    named += 1;
+                    if !has_function(&code, name) {
+                        problems.push(format!("{}: no function {name}", row[1]));
+                    }
+                }
+            }
+        }
+    }
+    none(&problems);
+    assert!(named > 40, "only {named} functions");
+}
+
 /// A derivation names the function or the module that computes it, behind a dash in its title.
 #[test]
 fn derivations_name_functions() {
@@ -466,6 +492,45 @@ fn examples_by_hand_of_images_and_poses() {
             expected,
             "row of u",
         );
+    }
+}
+
+/// The same for the paper's loop: three Gaussians of one person, the depth of the second unknown.
+#[test]
+fn examples_by_hand_of_the_papers_loop() {
+    let cues = |depth_residual| Cues {
+        reproj_px: Some(0.0),
+        depth_residual,
+        observations: Some(1),
+        epipolar_px: None,
+    };
+    let mut config = CrfConfig::default();
+    config.unary.min_observations = 1;
+    near(log_odds(&cues(Some(5.0)), &config.unary), 0.263, "weight 1");
+    config.unary.depth.weight = 8.0;
+    near(log_odds(&cues(Some(5.0)), &config.unary), 1.437, "weight 8");
+    near(log_odds(&cues(None), &config.unary), -1.259, "no depth");
+    let nodes: Vec<Node> = [Some(5.0), None, Some(5.0)]
+        .into_iter()
+        .enumerate()
+        .map(|(i, residual)| Node {
+            p_world: Vector3::new(0.1 * i as f64, 0.0, 2.0),
+            uv_px: Some(Vector2::new(15.0 * i as f64, 0.0)),
+            cues: cues(residual),
+            previous: None,
+        })
+        .collect();
+    for (iterations, expected) in [
+        (1, [0.903, 0.363]),
+        (2, [0.958, 0.584]),
+        (5, [0.994, 0.912]),
+    ] {
+        config.mean_field.iterations = iterations;
+        let crf = Crf::new(config.clone()).expect("valid");
+        let beliefs = crf.infer(&nodes, Par::Seq).expect("finite");
+        near(beliefs.dynamic[0], expected[0], "first");
+        near(beliefs.dynamic[1], expected[1], "second");
+        near(beliefs.dynamic[2], expected[0], "third");
     }
 }
 

@@ -21,6 +21,7 @@ mod chart;
 mod features;
 mod maps;
 mod moving;
+mod paper_loop;
 mod poses;
 mod splats;
 mod training;
@@ -42,6 +43,10 @@ const PICTURES: &[(&str, Draw)] = &[
     ("flow_check", moving::flow_check),
     ("pose", poses::kernels_and_damping),
     ("field", moving::field),
+    ("loop_nodes", paper_loop::nodes),
+    ("loop_levels", paper_loop::levels),
+    ("loop_suspects", paper_loop::suspects),
+    ("depth_rays", paper_loop::depth_rays),
     ("bundle", maps::bundle),
     ("loop", maps::closed_loop),
     ("splat", splats::one_splat),

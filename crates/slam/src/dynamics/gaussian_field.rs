@@ -111,3 +111,51 @@ pub(crate) fn labels_by_vote(
         |chunk: Range<usize>| -> Vec<Option<Label>> { chunk.map(|i| vote(first + i)).collect() };
     context.par.map_chunks(count, 1024, of_chunk).concat()
 }
+
+#[cfg(test)]
+mod tests {
+    use garad_core::{KeyframeId, NewGaussian};
+
+    use super::*;
+    use crate::config::Config;
+    use crate::testing::World;
+
+    /// The example of the book: radius 0.3 m, weights 0.8 against 0.5 + 0.1, and one that is too far.
+    #[test]
+    fn a_vote_by_hand() {
+        use Label::{Dynamic, Static};
+        let context = World::new(Config::default()).context;
+        let config = SpreadConfig {
+            radius_m: 0.3,
+            ..SpreadConfig::default()
+        };
+        let mut map = GaussianMap::new(0);
+        map.push(&NewGaussian {
+            mean: [0.0, 0.0, 2.0],
+            sigma_m: 0.02,
+            opacity: 0.9,
+            color: [0.5; 3],
+            landmark: None,
+            born: KeyframeId(0),
+        });
+        let voters = |of: &[(f64, Label)]| -> Vec<LabelledGaussian> {
+            let voter = |&(distance_m, label)| LabelledGaussian {
+                row: 0,
+                mean_m: [distance_m, 0.0, 2.0],
+                label,
+            };
+            of.iter().map(voter).collect()
+        };
+        let three = [(0.06, Dynamic), (0.15, Static), (0.27, Static)];
+        for (of, expected) in [
+            (&three[..], Some(Dynamic)),
+            (&[(0.33, Dynamic), (0.15, Static)], Some(Static)),
+            (&[(0.33, Dynamic)], None),
+            (&[(0.15, Dynamic), (-0.15, Static)], Some(Static)),
+            (&[], None),
+        ] {
+            let labels = labels_by_vote(&context, &map, 0..1, &voters(of), &config);
+            assert_eq!(labels, [expected], "{of:?}");
+        }
+    }
+}
