@@ -290,3 +290,6 @@ fn restored_landmarks(
     landmarks.dedup();
     landmarks
 }
+
+#[cfg(test)]
+mod tests;
