@@ -148,10 +148,11 @@ fn gaussian_mask(criterion: &mut Criterion) {
     };
     let dynamic = select();
     let (pose, options) = (Se3::default(), RenderOptions::default());
-    let level = |level: usize| {
+    let draw = |map: &GaussianMap<f32>, level: usize| {
         let camera = camera.level(level);
-        fast::render(black_box(&dynamic), &camera, &pose, &options, Par::Seq).expect("a picture")
+        fast::render(black_box(map), &camera, &pose, &options, Par::Seq).expect("a picture")
     };
+    let (level, empty) = (|level| draw(&dynamic, level), GaussianMap::new(0));
     let mut group = criterion.benchmark_group("raster/mask");
     group.sample_size(20);
     group.warm_up_time(Duration::from_millis(300));
@@ -161,6 +162,7 @@ fn gaussian_mask(criterion: &mut Criterion) {
         let name = format!("level_{l}");
         group.bench_function(name, |bencher| bencher.iter(|| level(l)));
     }
+    group.bench_function("level_0_empty", |bencher| bencher.iter(|| draw(&empty, 0)));
     group.bench_function("levels_0_to_2", |bencher| {
         bencher.iter(|| [0, 1, 2].map(level));
     });
