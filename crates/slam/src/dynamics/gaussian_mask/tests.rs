@@ -1,7 +1,7 @@
 //! The mask of a few Gaussians in front of a wall at 3 m, or on a box at half the way to it.
 
 use Label::{Dynamic, Static};
-use garad_core::{Image, KeyframeId, NewGaussian};
+use garad_core::{Image, KeyframeId, NewGaussian, Real};
 use garad_features::Descriptor;
 
 use super::*;
@@ -30,8 +30,8 @@ fn spots(at_px: &[[f64; 2]], depth_m: f64, sigma_px: f64, opacity: f32) -> Gauss
     for at in at_px {
         let mean = camera.unproject(&Vector2::from(*at), depth_m);
         let row = map.push(&NewGaussian {
-            mean: mean.map(|c| c as f32).into(),
-            sigma_m: (sigma_px * depth_m / camera.fx) as f32,
+            mean: mean.map(Real::to_f32).into(),
+            sigma_m: (sigma_px * depth_m / camera.fx).to_f32(),
             opacity,
             color: [0.5; 3],
             landmark: None,
@@ -107,8 +107,14 @@ fn a_keypoint_is_looked_up_in_the_level_of_the_nearest_scale() {
     let of_orb = levels_of(&world.context.scales);
     assert_eq!(of_orb, [0, 0, 1, 1, 1, 1, 2, 2], "1 to 3.58");
     // The middle between 1 and 2 is √2, that between 2 and 4 is 2 √2.
-    let of_bounds = levels_of(&[1.4142, 1.4143, 2.8284, 2.8285, 100.0]);
-    assert_eq!(of_bounds, [0, 1, 1, 2, 2], "beside the bounds");
+    let (first, second) = (2f64.sqrt(), 8f64.sqrt());
+    let of_bounds = levels_of(&[
+        0.9999 * first,
+        1.0001 * first,
+        0.9999 * second,
+        1.0001 * second,
+    ]);
+    assert_eq!(of_bounds, [0, 1, 1, 2], "beside the bounds");
 }
 
 /// A spot of sigma 4 px (with the 0.3 px² of the rasterizer: 4.04, 2.07 and 1.14 px at the levels) is above 0.5 up to
