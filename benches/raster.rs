@@ -1,5 +1,6 @@
 //! The rasterizer in f32: 10 000 to 200 000 Gaussians, three sizes of pictures, one and two
-//! threads; forward, backward and both; the reference beside it where it does not take too long.
+//! threads; forward, backward and both; the reference beside it where it does not take too long. And the mask of the
+//! dynamic Gaussians, as every frame renders it.
 //!
 //! `cargo bench --bench raster -- "fast/.*/640x480"` runs a part.
 
@@ -7,7 +8,7 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use garad_core::{Camera, GaussianMap, Image, KeyframeId, NewGaussian, Par, Real, Rng, Se3};
+use garad_core::{Camera, GaussianMap, Image, KeyframeId, Label, NewGaussian, Par, Real, Rng, Se3};
 use garad_raster::{
     Gradients, RasterError, RenderOptions, Rendered, Upstream, backward, fast, render,
 };
@@ -126,5 +127,47 @@ fn raster(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, raster);
+/// The Gaussian mask of a frame of 640x480: of 50 000 Gaussians the 3 000 in the middle of the picture, a person, are
+/// dynamic. They are taken out of the map once per keyframe, and rendered alone at three levels in every frame.
+fn gaussian_mask(criterion: &mut Criterion) {
+    let mut map = room(50_000);
+    let camera = camera(640, 480);
+    let off = |mean: &[f32; 3]| {
+        let [x, y] = [mean[0] / mean[2], mean[1] / mean[2]];
+        x.abs().max(0.6 * y.abs())
+    };
+    let mut by_distance: Vec<usize> = (0..map.len()).collect();
+    by_distance.sort_by(|a, b| off(&map.means[*a]).total_cmp(&off(&map.means[*b])));
+    for row in &by_distance[..3000] {
+        map.label[*row] = Label::Dynamic;
+    }
+    let select = || {
+        let mut dynamic = black_box(&map).clone();
+        dynamic.retain(|row| map.label[row] == Label::Dynamic);
+        dynamic
+    };
+    let dynamic = select();
+    let (pose, options) = (Se3::default(), RenderOptions::default());
+    let draw = |map: &GaussianMap<f32>, level: usize| {
+        let camera = camera.level(level);
+        fast::render(black_box(map), &camera, &pose, &options, Par::Seq).expect("a picture")
+    };
+    let (level, empty) = (|level| draw(&dynamic, level), GaussianMap::new(0));
+    let mut group = criterion.benchmark_group("raster/mask");
+    group.sample_size(20);
+    group.warm_up_time(Duration::from_millis(300));
+    group.measurement_time(Duration::from_secs(2));
+    group.bench_function("select", |bencher| bencher.iter(select));
+    for l in 0..3 {
+        let name = format!("level_{l}");
+        group.bench_function(name, |bencher| bencher.iter(|| level(l)));
+    }
+    group.bench_function("level_0_empty", |bencher| bencher.iter(|| draw(&empty, 0)));
+    group.bench_function("levels_0_to_2", |bencher| {
+        bencher.iter(|| [0, 1, 2].map(level));
+    });
+    group.finish();
+}
+
+criterion_group!(benches, raster, gaussian_mask);
 criterion_main!(benches);

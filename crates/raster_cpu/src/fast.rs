@@ -102,11 +102,12 @@ pub fn render(
     let bands = Bands::new(&splats, height.div_ceil(TILE_PX));
     let background = options.background.map(f32::from_f64);
 
+    // As no splat leaves them: tiles without one are not written again.
     let mut rendered = Rendered {
-        color: Image::new(width, height, [0.0; 3]),
+        color: Image::new(width, height, background),
         depth: Image::new(width, height, 0.0),
         opacity: Image::new(width, height, 0.0),
-        transmittance: Image::new(width, height, 0.0),
+        transmittance: Image::new(width, height, 1.0),
         contributors: Image::new(width, height, 0),
         last: Image::new(width, height, 0),
         radii: vec![0; map.len()],
@@ -288,13 +289,16 @@ impl<'a> Stripe<'a> {
         stripes.collect()
     }
 
-    /// Bins, blends and writes the band's tiles.
+    /// Bins, blends and writes the band's tiles that have splats.
     fn draw(&mut self, splats: &[Splat], list: &[Entry], band: usize, background: [f32; 3]) {
         let columns = Columns::new(splats, list, self.width.div_ceil(TILE_PX));
         for column in 0..self.width.div_ceil(TILE_PX) {
-            let entries = columns.list(column).iter();
+            let entries = columns.list(column);
+            if entries.is_empty() {
+                continue;
+            }
             let pixels = TilePixels::composite(
-                entries.map(|&place| &columns.splats[place as usize]),
+                entries.iter().map(|&place| &columns.splats[place as usize]),
                 [(column * TILE_PX) as f32, (band * TILE_PX) as f32],
                 [self.width - column * TILE_PX, self.color.len() / self.width],
             );

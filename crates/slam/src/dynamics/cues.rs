@@ -75,3 +75,75 @@ fn depth_spread(context: &Context, map: &Map, landmark: &Landmark) -> Option<f64
     let squares = residuals.iter().map(|r| (r - mean) * (r - mean));
     (residuals.len() > 1).then(|| (squares.sum::<f64>() / (n - 1.0)).sqrt())
 }
+
+#[cfg(test)]
+mod tests {
+    use garad_core::{FrameId, Label, LandmarkId};
+    use garad_crf::DepthNoise;
+
+    use super::*;
+    use crate::config::Config;
+    use crate::testing::{World, wall};
+
+    /// A landmark at 3 m that so many keyframes observe, and measure this far behind it.
+    fn measured(behind_m: &[Option<f64>], depth_cue: DepthCue) -> (World, LandmarkId) {
+        let mut config = Config::default();
+        config.labels.depth_cue = depth_cue;
+        config.labels.noise = DepthNoise {
+            per_m: 0.0,
+            floor_m: 0.02,
+        };
+        let mut world = World::new(config);
+        let mut made = None;
+        for (k, behind_m) in (0u32..).zip(behind_m) {
+            let mut frame = world.frame(10 * k, &wall());
+            frame.landmark[0] = made;
+            frame.depth_m[0] = behind_m.map(|behind| 3.0 + behind);
+            let id = world.keep(frame, &wall());
+            if made.is_none() {
+                let keyframe = world.map.keyframe_mut(id);
+                keyframe.depth_m[0] = Some(3.0);
+                let p_world = keyframe.world_point(0, &world.context.camera);
+                let scales = world.context.scales.clone();
+                let p_world = p_world.expect("on the wall");
+                made = Some(world.map.add_landmark(p_world, id, 0, &scales));
+                world.map.keyframe_mut(id).depth_m[0] = behind_m.map(|behind| 3.0 + behind);
+            }
+        }
+        (world, made.expect("one at least"))
+    }
+
+    fn residual((world, id): &(World, LandmarkId)) -> Option<f64> {
+        let landmark = world.map.landmark(*id).expect("alive");
+        let (context, map) = (&world.context, &world.map);
+        let history = world.dynamics.history(context, map, FrameId(50));
+        landmark_cues(context, map, landmark, &history).depth_residual
+    }
+
+    /// One standard deviation of the sensor is 0.02 m.
+    #[test]
+    fn the_spread_of_depth_is_the_standard_deviation_of_its_residuals() {
+        let spread = |behind_m: &[Option<f64>]| residual(&measured(behind_m, DepthCue::Spread));
+        let two = spread(&[Some(0.02), Some(-0.02)]).expect("two");
+        assert!((two - 2f64.sqrt()).abs() < 1e-9, "+1 and -1: {two}");
+        let two = spread(&[Some(0.1), Some(0.06)]).expect("two");
+        assert!((two - 2f64.sqrt()).abs() < 1e-9, "5 and 3: {two}");
+        let three = spread(&[Some(0.02), None, Some(0.0), Some(-0.02)]).expect("three");
+        assert!((three - 1.0).abs() < 1e-9, "1, 0, -1: {three}");
+        assert_eq!(spread(&[Some(0.02)]), None, "one observation");
+        assert_eq!(spread(&[Some(0.02), None]), None, "one with depth");
+    }
+
+    /// Free space ends at the wall, where the landmark is; its own depths are 1 sigma behind and in front.
+    #[test]
+    fn the_setting_says_which_depth_cue_is_read() {
+        let behind_m = [Some(0.02), Some(-0.02)];
+        let [free_space, spread] = [DepthCue::FreeSpace, DepthCue::Spread]
+            .map(|cue| residual(&measured(&behind_m, cue)).expect("seen"));
+        assert!(free_space.abs() < 1e-6, "on the surface: {free_space}");
+        assert!(spread > 1.4, "{spread}");
+        let (world, id) = measured(&behind_m, DepthCue::Spread);
+        let landmark = world.map.landmark(id).expect("alive");
+        assert_eq!(landmark.label(), Label::Static, "reading changes nothing");
+    }
+}

@@ -292,38 +292,4 @@ fn restored_landmarks(
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::Config;
-    use crate::testing::{World, wall};
-
-    /// One level opaque, at 3 m: a keypoint is in the mask if that is the level of its octave, and it lies at that depth.
-    #[test]
-    fn a_keypoint_looks_its_label_up_in_the_nearest_level() {
-        let mut world = World::new(Config::default());
-        let config = &mut world.context.config.labels.gaussian_mask;
-        (config.opacity, config.depth_m) = (0.2, 0.45);
-        let depth = wall();
-        let frame = world.frame(0, &depth);
-        let nothing = GaussianMap::new(0);
-        let uv_px = Vector2::new(101.0, 62.0);
-        let scales = &world.context.scales;
-        assert_eq!(scales.len(), 8, "octaves");
-        for (opaque, octaves) in [(0, 0..2), (1, 2..6), (2, 6..8)] {
-            let mut mask = GaussianMask::render(&world.context, &nothing, &frame, &depth);
-            let level = &mut mask.levels[opaque];
-            level.opacity = level.opacity.map(|_| 0.5);
-            level.depth = level.depth.map(|_| 1.5);
-            for (octave, scale) in scales.iter().enumerate() {
-                let label = |z_m| mask.label(&uv_px, *scale, z_m);
-                let expected = match octaves.contains(&octave) {
-                    true => Label::Dynamic,
-                    false => Label::Static,
-                };
-                let what = format!("octave {octave}, level {opaque}");
-                assert_eq!([label(Some(3.0)), label(None)], [expected; 2], "{what}");
-                assert_eq!(label(Some(3.5)), Label::Static, "{what}, behind");
-            }
-        }
-    }
-}
+mod tests;

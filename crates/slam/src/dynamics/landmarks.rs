@@ -281,6 +281,34 @@ mod tests {
     }
 
     #[test]
+    fn landmarks_take_the_labels_of_their_gaussians_and_go_with_them() {
+        let (mut world, _, [of_box, of_wall]) = a_box_that_left(Config::default());
+        let given = |id: LandmarkId, label, removed| TaggedLabel { id, label, removed };
+        let [moves, gone, back] = [of_box[0], of_box[1], of_box[2]];
+        let label = |world: &World, id| world.map.landmark(id).map(|l| l.label());
+        let labels = [
+            given(moves, Label::Dynamic, false),
+            given(gone, Label::Dynamic, true),
+            given(back, Label::Dynamic, false),
+        ];
+        take_labels_of_gaussians(&world.context, &mut world.map, &labels);
+        assert_eq!(label(&world, moves), Some(Label::Dynamic), "changed");
+        assert_eq!(label(&world, back), Some(Label::Dynamic), "changed");
+        assert_eq!(label(&world, gone), None, "dropped");
+        let linked = world.map.keyframe(KeyframeId(0)).landmark.iter();
+        assert_eq!(linked.flatten().filter(|l| **l == gone).count(), 0, "link");
+        let labels = [
+            given(back, Label::Static, false),
+            given(gone, Label::Static, false),
+        ];
+        take_labels_of_gaussians(&world.context, &mut world.map, &labels);
+        assert_eq!(label(&world, back), Some(Label::Static), "changed back");
+        assert_eq!(label(&world, gone), None, "a dropped one stays dropped");
+        assert_eq!(label(&world, moves), Some(Label::Dynamic), "not named");
+        assert_eq!(alive(&world, &of_wall), of_wall.len(), "not named");
+    }
+
+    #[test]
     fn cues_are_means_over_the_keyframes() {
         let (mut world, third, [of_box, of_wall]) = a_box_that_left(Config::default());
         let cues = |world: &World, id| {

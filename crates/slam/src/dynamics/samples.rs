@@ -143,4 +143,35 @@ mod tests {
         assert_eq!(samples[2], None, "too far");
         assert_eq!(samples[3], Some(([56, 8], 3.0)), "the middle of its block");
     }
+
+    /// 160 x 120 pixels are 40 x 30 cells of 4 px.
+    #[test]
+    fn clearing_a_block_clears_its_cells_alone() {
+        let camera = World::new(Config::default()).context.camera;
+        let cleared = |step_px, block| {
+            let mut cells = MaskImage::new(40, 30, 255);
+            Lattice::new(&camera, step_px).clear(&mut cells, block);
+            let places = (0..30).flat_map(|y| (0..40).map(move |x| (x, y)));
+            places.filter(|at| cells[*at] == 0).collect::<Vec<_>>()
+        };
+        // Blocks of 16 px, 10 to the row, are 4 x 4 cells.
+        let block = |x0: usize, y0: usize, rows: usize| -> Vec<_> {
+            let rows = y0..y0 + rows;
+            rows.flat_map(|y| (x0..x0 + 4).map(move |x| (x, y)))
+                .collect()
+        };
+        assert_eq!(cleared(16, 0), block(0, 0, 4), "the first");
+        assert_eq!(cleared(16, 23), block(12, 8, 4), "column 3, row 2");
+        assert_eq!(cleared(16, 79), block(36, 28, 2), "the last, cut off");
+        // Blocks of 10 px begin within cells; a cell belongs to the block that its first pixel is in.
+        assert_eq!(
+            cleared(10, 1),
+            [(3, 0), (4, 0), (3, 1), (4, 1), (3, 2), (4, 2)]
+        );
+        let mut of_all: Vec<_> = (0..16 * 12).flat_map(|b| cleared(10, b)).collect();
+        of_all.sort_unstable();
+        let count = of_all.len();
+        of_all.dedup();
+        assert_eq!((count, of_all.len()), (1200, 1200), "each cell once");
+    }
 }

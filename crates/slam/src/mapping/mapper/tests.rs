@@ -1,0 +1,281 @@
+//! The mapper by hand: a few Gaussians, a few jobs.
+
+use std::collections::BTreeSet;
+
+use Label::{Dynamic, Static};
+use garad_core::{Camera, DepthImage, FrameId, KeyframeId, MaskImage, Par, RgbImage};
+use garad_crf::Cues;
+use nalgebra::Vector2;
+
+use super::*;
+use crate::config::{Config, LabelSource};
+use crate::dynamics::landmarks::LandmarkCues;
+use crate::mapping::job::NewLandmark;
+use crate::mask::MOVING;
+use crate::observer::Silent;
+
+/// The second of two keyframes in front of a wall, all of which moves, and the map after it.
+fn second_of_two(config: &Config) -> (MappingDone, GaussianMap) {
+    let camera = Camera::pinhole((32, 24), [30.0, 30.0, 15.5, 11.5]).expect("valid");
+    let context = Context::new(camera, config.clone(), 0, Par::Seq).expect("valid");
+    let mut mapper = Mapper::new(&context).expect("valid");
+    let job = |k: u32| MappingJob {
+        keyframe: KeyframeId(k),
+        frame: FrameId(10 * k),
+        rgb: RgbImage::from_fn(32, 24, |x, _| [if x % 2 == 0 { 200 } else { 20 }; 3]),
+        depth: DepthImage::new(32, 24, 2.0),
+        mask: Some(MaskImage::new(32, 24, MOVING)),
+        cells: Some(MaskImage::new(8, 6, MOVING)),
+        labels: Vec::new(),
+        cues: Vec::new(),
+        restored: BTreeSet::new(),
+        moved: Vec::new(),
+        poses: vec![Se3::identity(); k as usize + 1],
+        new_landmarks: Vec::new(),
+        living: Vec::new(),
+        iterations: 2,
+    };
+    mapper.run(job(0), &mut Silent);
+    let done = mapper.run(job(1), &mut Silent);
+    (done, mapper.gaussians)
+}
+
+/// The settings behind "without map labels": each turns off one use of labels in the map.
+#[test]
+fn the_map_can_be_made_without_labels() {
+    let mut config = Config::default();
+    let (_, map) = second_of_two(&config);
+    assert_eq!(map.len(), 0, "nothing is at rest");
+
+    config.insertion.avoid_moving = false;
+    config.train.lambda_dynamic = 0.0;
+    let (masked, _) = second_of_two(&config);
+    assert!(masked.gaussians >= 48, "8 x 6 samples: {masked:?}");
+    assert!(masked.dynamic >= 48, "of the mask: {masked:?}");
+    assert!(masked.loss.is_none_or(|l| l <= 0.0), "no pixel: {masked:?}");
+
+    config.train.exclude_moving = false;
+    let (whole, _) = second_of_two(&config);
+    assert!(whole.loss.is_some_and(|l| l > 0.01), "stripes: {whole:?}");
+
+    config.labels.map = false;
+    let (unlabelled, _) = second_of_two(&config);
+    assert_eq!(unlabelled.dynamic, 0, "{unlabelled:?}");
+}
+
+/// The paper's loop, without training and without a vote.
+fn by_gaussians() -> Config {
+    let mut config = Config::default();
+    config.labels.source = LabelSource::Gaussians;
+    config.labels.spread.enabled = false;
+    config.labels.window.runs = 2;
+    config.insertion.avoid_moving = false;
+    config
+}
+
+fn mapper(config: Config) -> Mapper {
+    let camera = Camera::pinhole((32, 24), [30.0, 30.0, 15.5, 11.5]).expect("valid");
+    let context = Context::new(camera, config, 0, Par::Seq).expect("valid");
+    Mapper::new(&context).expect("valid")
+}
+
+/// A keyframe without depth, so that only landmarks make Gaussians; these landmarks live.
+fn without_depth(k: u32, living: &[u32]) -> MappingJob {
+    MappingJob {
+        keyframe: KeyframeId(k),
+        frame: FrameId(10 * k),
+        rgb: RgbImage::new(32, 24, [90, 120, 30]),
+        depth: DepthImage::new(32, 24, 0.0),
+        mask: None,
+        cells: None,
+        labels: Vec::new(),
+        cues: Vec::new(),
+        restored: BTreeSet::new(),
+        moved: Vec::new(),
+        poses: vec![Se3::identity(); k as usize + 1],
+        new_landmarks: Vec::new(),
+        living: living.iter().map(|id| (LandmarkId(*id), Static)).collect(),
+        iterations: 0,
+    }
+}
+
+/// A landmark at 2 m, so many centimetres right of the optical axis.
+fn landmark(id: u32, right_cm: u32) -> NewLandmark {
+    let x_m = 0.01 * f64::from(right_cm);
+    NewLandmark {
+        id: LandmarkId(id),
+        p_world: Vector3::new(x_m, 0.0, 2.0),
+        px: [16, 12],
+    }
+}
+
+/// So many standard deviations in front of what was seen there.
+fn cues(id: u32, depth_residual: f64) -> LandmarkCues {
+    LandmarkCues {
+        id: LandmarkId(id),
+        uv_px: Vector2::new(16.0, 12.0),
+        cues: Cues {
+            depth_residual: Some(depth_residual),
+            ..Cues::default()
+        },
+    }
+}
+
+fn given(id: u32, label: Label, removed: bool) -> TaggedLabel {
+    let id = LandmarkId(id);
+    TaggedLabel { id, label, removed }
+}
+
+/// Two landmarks 0.6 m apart, of which 0 moves.
+fn first_of_two_landmarks() -> MappingJob {
+    MappingJob {
+        new_landmarks: vec![landmark(0, 0), landmark(1, 60)],
+        cues: vec![cues(0, 50.0), cues(1, 0.0)],
+        ..without_depth(0, &[0, 1])
+    }
+}
+
+fn labels(mapper: &Mapper) -> Vec<(Option<u32>, Label)> {
+    let map = &mapper.gaussians;
+    let tags = map.landmark.iter().map(|l| l.map(|l| l.0));
+    tags.zip(map.label.iter().copied()).collect()
+}
+
+/// A map as it is handed back: the tags and labels of the dynamic Gaussians.
+fn handed_back(done: &MappingDone) -> Vec<(Option<u32>, Label)> {
+    let map = done.feedback.dynamic.as_ref().expect("handed back");
+    let tags = map.landmark.iter().map(|l| l.map(|l| l.0));
+    tags.zip(map.label.iter().copied()).collect()
+}
+
+#[test]
+fn a_tagged_gaussian_with_dynamic_cues_is_dynamic_and_handed_back() {
+    let mut mapper = mapper(by_gaussians());
+    let done = mapper.run(first_of_two_landmarks(), &mut Silent);
+    assert_eq!(labels(&mapper), [(Some(0), Dynamic), (Some(1), Static)]);
+    let expected = [given(0, Dynamic, false), given(1, Static, false)];
+    assert_eq!(done.feedback.labels, expected, "of both landmarks");
+    assert_eq!(handed_back(&done), [(Some(0), Dynamic)], "for the mask");
+    assert_eq!((done.relabelled.to_dynamic, done.dynamic), (1, 1));
+    assert_eq!((done.inserted, done.relabelled.removed), (2, 0));
+}
+
+#[test]
+fn what_was_dynamic_in_every_run_of_the_window_is_removed() {
+    let mut mapper = mapper(by_gaussians());
+    mapper.run(first_of_two_landmarks(), &mut Silent);
+    let again = MappingJob {
+        cues: vec![cues(0, 50.0), cues(1, 0.0)],
+        ..without_depth(1, &[0, 1])
+    };
+    let done = mapper.run(again, &mut Silent);
+    assert_eq!(labels(&mapper), [(Some(1), Static)], "0 is gone");
+    let expected = [given(0, Dynamic, true), given(1, Static, false)];
+    assert_eq!(done.feedback.labels, expected, "and its landmark is told");
+    assert_eq!(handed_back(&done), [], "no more in the mask");
+    assert_eq!((done.relabelled.removed, done.inserted), (1, 0));
+}
+
+#[test]
+fn a_restored_gaussian_is_static_again_and_its_window_begins_anew() {
+    let mut mapper = mapper(by_gaussians());
+    mapper.run(first_of_two_landmarks(), &mut Silent);
+    let restored = MappingJob {
+        restored: BTreeSet::from([LandmarkId(0)]),
+        ..without_depth(1, &[0, 1])
+    };
+    let done = mapper.run(restored, &mut Silent);
+    assert_eq!(labels(&mapper), [(Some(0), Static), (Some(1), Static)]);
+    assert_eq!(done.feedback.labels, [given(0, Static, false)], "told");
+    assert_eq!(handed_back(&done), [], "no more in the mask");
+
+    // Dynamic in this run and in the first, but restored between them.
+    let again = MappingJob {
+        cues: vec![cues(0, 50.0)],
+        ..without_depth(2, &[0, 1])
+    };
+    let done = mapper.run(again, &mut Silent);
+    assert_eq!(done.feedback.labels, [given(0, Dynamic, false)], "kept");
+    assert_eq!(done.relabelled.removed, 0, "{:?}", done.relabelled);
+}
+
+/// A third Gaussian loses its landmark: the nearest nodes decide, 0 at 0.1 m and 1 at 0.5 m.
+#[test]
+fn gaussians_without_a_landmark_follow_the_vote_of_their_neighbours() {
+    for (spread, expected) in [(true, Dynamic), (false, Static)] {
+        let mut config = by_gaussians();
+        config.labels.spread.enabled = spread;
+        let mut mapper = mapper(config);
+        let mut job = first_of_two_landmarks();
+        job.new_landmarks.push(landmark(2, 10));
+        mapper.run(
+            MappingJob {
+                living: vec![0, 1, 2]
+                    .into_iter()
+                    .map(|id| (LandmarkId(id), Static))
+                    .collect(),
+                cues: Vec::new(),
+                ..job
+            },
+            &mut Silent,
+        );
+        let next = MappingJob {
+            cues: vec![cues(0, 50.0), cues(1, 0.0)],
+            ..without_depth(1, &[0, 1])
+        };
+        mapper.run(next, &mut Silent);
+        let expected = [(Some(0), Dynamic), (Some(1), Static), (None, expected)];
+        assert_eq!(labels(&mapper), expected, "spread: {spread}");
+    }
+}
+
+/// The right half of a wall moves in the keyframe's mask, and there is no landmark.
+#[test]
+fn gaussians_inserted_inside_the_mask_are_dynamic_where_the_mask_decides() {
+    for (spread, from_mask) in [(true, true), (true, false), (false, true)] {
+        let mut config = by_gaussians();
+        (config.labels.spread.enabled, config.labels.spread.from_mask) = (spread, from_mask);
+        let mut mapper = mapper(config);
+        let right = |x, _| if x < 16 { 0 } else { MOVING };
+        let job = MappingJob {
+            depth: DepthImage::new(32, 24, 2.0),
+            mask: Some(MaskImage::from_fn(32, 24, right)),
+            ..without_depth(0, &[])
+        };
+        let done = mapper.run(job, &mut Silent);
+        assert_eq!(done.inserted, 48, "8 x 6 samples");
+        let is_right = |mean: &[f32; 3]| mean[0] > 0.0;
+        let decides = spread && from_mask;
+        for (mean, label) in mapper.gaussians.means.iter().zip(&mapper.gaussians.label) {
+            let expected = match decides && is_right(mean) {
+                true => Dynamic,
+                false => Static,
+            };
+            assert_eq!(*label, expected, "{mean:?}, {spread}, {from_mask}");
+        }
+        assert_eq!(done.dynamic, if decides { 24 } else { 0 }, "4 x 6 of them");
+        assert_eq!(handed_back(&done).len(), done.dynamic, "for the mask");
+    }
+}
+
+#[test]
+fn with_labels_of_the_map_off_every_gaussian_is_static() {
+    let mut config = by_gaussians();
+    config.labels.map = false;
+    config.labels.spread.enabled = true;
+    config.labels.spread.from_mask = true;
+    let mut mapper = mapper(config);
+    let job = MappingJob {
+        depth: DepthImage::new(32, 24, 2.0),
+        mask: Some(MaskImage::new(32, 24, MOVING)),
+        cells: Some(MaskImage::new(8, 6, MOVING)),
+        restored: BTreeSet::from([LandmarkId(1)]),
+        ..first_of_two_landmarks()
+    };
+    let done = mapper.run(job, &mut Silent);
+    assert!(mapper.gaussians.len() > 2, "those of depth, too");
+    assert!(labels(&mapper).iter().all(|(_, l)| *l == Static), "all");
+    assert_eq!(done.feedback.labels, [], "nothing for landmarks");
+    assert_eq!(handed_back(&done), [], "nothing for the mask");
+    assert_eq!(done.relabelled, Relabelled::default());
+}
