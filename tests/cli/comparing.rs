@@ -3,7 +3,9 @@
 use std::fs;
 use std::path::Path;
 
-use crate::support::{Bench, arg, assert_same_results, garad, run_into, short, walking};
+use crate::support::{
+    Bench, arg, assert_same_results, garad, run_into, short, walking, walking_on,
+};
 
 fn read(path: &Path) -> String {
     fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
@@ -69,6 +71,27 @@ fn a_profile_lies_between_the_defaults_and_the_file() {
     used("default", &["--profile", "default"]);
     used("plain", &[]);
     assert_same_results(&bench.path("default"), &bench.path("plain"));
+}
+
+#[test]
+fn every_profile_has_the_same_bits_on_any_number_of_threads() {
+    let bench = Bench::empty();
+    let list = garad(["profiles"]).succeeds().out;
+    let names: Vec<&str> = list.lines().filter_map(|l| l.split(' ').next()).collect();
+    assert!(
+        names.contains(&"paper") && names.contains(&"splatam"),
+        "{names:?}"
+    );
+    for name in names {
+        let [one, two, three] = ["1", "2", "3"].map(|threads| {
+            let out = bench.path(&format!("{name}_{threads}"));
+            let options = ["--profile", name, "--threads", threads];
+            run_into(walking_on(), &out, &options).succeeds();
+            out
+        });
+        assert_same_results(&one, &two);
+        assert_same_results(&one, &three);
+    }
 }
 
 #[test]

@@ -110,6 +110,12 @@ pub(crate) fn walking() -> &'static Path {
     FOLDER.get_or_init(|| recording("walking", 12))
 }
 
+/// The same for longer: after the first ten frames it is labelled.
+pub(crate) fn walking_on() -> &'static Path {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(|| recording("walking", 20))
+}
+
 /// The folder of a test: its own recording, to be damaged, and the results.
 #[derive(Debug)]
 pub(crate) struct Bench {
