@@ -240,6 +240,7 @@ fn a_short_window_removes_more_and_leaves_fewer() {
     let [short, long] = [1, 10].map(|runs| {
         let mut config = config(LabelSource::Gaussians);
         config.labels.window.runs = runs;
+        config.labels.bootstrap_restart = false; // every run counts from the first frame on
         let run = Run::new(walking(), config, Par::Threads(2));
         (run.dynamic_opacities().len(), run.removed)
     });
