@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Do our tests notice? Puts one mutant after the other into a copy of the project and runs the crate's tests.
 
-    tests/mutations/run.py --check              every text of mutants.toml is found exactly once; no build
+    tests/mutations/run.py --check              every text of mutants/ is found exactly once; no build
     tests/mutations/run.py                      all of them, on one core
     tests/mutations/run.py optim 'half a pixel' those whose crate, file or description holds one of these
 
@@ -32,7 +32,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 # Dependents first: a crate that is put back to order would have them all built again.
-ORDER = ["slam", "eval", "raster_cpu", "crf", "features", "optim", "core"]
+ORDER = ["golden", "slam", "synth", "eval", "raster_cpu", "dataset", "crf", "features", "optim", "core"]
 # Integration tests that run after the unit tests. Those of slam that take whole sequences through the system
 # would take most of the time, and name no stage.
 INTEGRATION = {"slam": ["labels", "stages"]}
@@ -43,10 +43,13 @@ MOST_MISSED = 0.05
 
 
 def mutants(root, only):
-    """Those asked for, if all of the list are found in the code under `root`."""
-    with open(Path(__file__).with_name("mutants.toml"), "rb") as file:
-        found = tomllib.load(file)["mutant"]
+    """Those asked for, if all of the lists are found in the code under `root`."""
+    found = []
+    for path in sorted(Path(__file__).with_name("mutants").glob("*.toml")):
+        with open(path, "rb") as file:
+            found += tomllib.load(file)["mutant"]
     for mutant in found:
+        mutant["crate"] = mutant["file"].split("/")[1]
         text = (root / mutant["file"]).read_text()
         count = text.count(mutant["find"])
         if count != 1:
