@@ -1,7 +1,5 @@
 //! Faulty ports, each with one mistake as it was reported of a real program, and ports that compute otherwise but
 //! rightly. The golden cases must catch every one of the first, name its stage, and pass all of the second.
-//!
-//! `GARAD_EXTENSIVE=1` runs all renderers that round otherwise instead of every fifth.
 
 mod adjust;
 mod answers;
@@ -116,14 +114,13 @@ fn renderers() -> Vec<Renderer> {
     all
 }
 
-#[test]
-fn renderers_that_round_otherwise_pass() {
+/// Of the renderers that round otherwise every so many, through every case of the rasterizer.
+fn every_renderer_passes(step: usize) {
     let cases = cases(&raster::STAGES);
     let all = renderers();
     assert!(all.len() >= 100, "{}", all.len());
-    let extensive = std::env::var_os("GARAD_EXTENSIVE").is_some_and(|v| v == "1");
     let mut alarms = Vec::new();
-    for renderer in all.iter().step_by(if extensive { 1 } else { 5 }) {
+    for renderer in all.iter().step_by(step) {
         let answer = |case: &Case| shaped(case, &renderer.answer(Given(case.inputs())));
         let bad = failed(cases.iter().map(|case| judge(case, &answer(case), false)));
         if !bad.is_empty() {
@@ -131,6 +128,17 @@ fn renderers_that_round_otherwise_pass() {
         }
     }
     assert!(alarms.is_empty(), "false alarms: {alarms:#?}");
+}
+
+#[test]
+fn renderers_that_round_otherwise_pass() {
+    every_renderer_passes(5);
+}
+
+#[test]
+#[ignore = "minutes: all of them instead of every fifth"]
+fn all_renderers_that_round_otherwise_pass() {
+    every_renderer_passes(1);
 }
 
 /// The cases of a group of stages, and garad's own answers.

@@ -181,24 +181,31 @@ const TOLERANCES: &[(&str, &str, &str)] = &[
     ("bundle", "points_before", "bundle.points"), ("bundle", "points_after", "bundle.points"),
     ("bundle", "uv_px", "lk.xy"), ("bundle", "third_px", "lk.xy"), ("bundle", "cost", "trace.cost"),
     ("trajectory", "camera_from_world", "pose.pose"), ("trajectory", "p_world", "bundle.points"),
-    ("map_before", "", "trace.map"), ("insert", "", "trace.map"), ("map_after", "", "trace.map"),
-    ("insert", "living", "exact"), ("insert", "new_landmark", "exact"),
-    ("insert", "new_p_world", "bundle.points"), ("insert", "new_px", "exact"),
-    ("map_before", "landmark", "exact"), ("insert", "landmark", "exact"), ("map_after", "landmark", "exact"),
-    ("map_before", "label", "exact"), ("insert", "label", "exact"), ("map_after", "label", "exact"),
+    ("insert", "new_p_world", "bundle.points"),
     ("train", "camera_from_world", "pose.pose"), ("train", "target", "raster.f32.color"),
     ("train", "color", "trace.image"), ("train", "depth_m", "trace.image"),
     ("train", "opacity", "trace.image"), ("train", "loss", "trace.loss"),
 ];
 
+/// Those of the Gaussians' parameters, before, while and after the map is trained.
+const MAP_TOLERANCES: &[(&str, &str)] = &[
+    ("means", "trace.means"),
+    ("log_scales", "trace.log_scales"),
+    ("quaternions", "trace.quaternions"),
+    ("opacity_logits", "trace.opacity_logits"),
+    ("sh", "trace.sh"),
+];
+
 /// What a tensor of a correct port is held to: the table's last entry for it, else the same numbers.
 #[must_use]
 pub fn tolerance(stage: &str, tensor: &str) -> &'static Tolerance {
+    let is_map = ["map_before", "insert", "map_after"].contains(&stage);
+    let parameter = MAP_TOLERANCES.iter().find(|(t, _)| is_map && *t == tensor);
     let of = |(s, t, _): &&(&str, &str, &str)| *s == stage && (t.is_empty() || *t == tensor);
-    let name = TOLERANCES
-        .iter()
-        .rfind(of)
-        .map_or("exact", |(_, _, name)| name);
+    let stages = TOLERANCES.iter().rfind(of).map(|(_, _, name)| name);
+    let name = stages
+        .or(parameter.map(|(_, name)| name))
+        .unwrap_or(&"exact");
     tol::find(name).unwrap_or(&tol::TABLE[0])
 }
 
@@ -216,9 +223,20 @@ mod tests {
         for (stage, tensor, name) in TOLERANCES {
             assert!(tol::find(name).is_some(), "{stage} {tensor}: no '{name}'");
         }
+        for (tensor, name) in MAP_TOLERANCES {
+            assert!(tol::find(name).is_some(), "{tensor}: no '{name}'");
+        }
         let name = |stage, tensor| tolerance(stage, tensor).name;
         assert_eq!(name("orb", "xy"), "exact", "not in the list");
-        assert_eq!(name("insert", "means"), "trace.map", "the whole stage");
-        assert_eq!(name("insert", "landmark"), "exact", "but for ids");
+        assert_eq!(name("insert", "means"), "trace.means", "a parameter");
+        assert_eq!(name("train", "means"), "exact", "not of the map");
+        assert_eq!(name("insert", "landmark"), "exact", "an id");
+        assert_eq!(name("pose", "after"), "pose.pose", "a tensor");
+        assert_eq!(
+            name("depth_planes", "x"),
+            "trace.residual",
+            "the whole stage"
+        );
+        assert_eq!(name("depth_pose", "after"), "pose.pose", "the last entry");
     }
 }

@@ -1,4 +1,4 @@
-//! Laps around a room whose ends must meet. Takes some minutes: runs with `GARAD_EXTENSIVE=1`.
+//! Laps around a room whose ends must meet. `.ci/run` runs them in a release build.
 
 mod common;
 
@@ -33,10 +33,8 @@ fn run_with(scene: &Scene, config: Config, step: usize, par: Par) -> Slam {
 }
 
 #[test]
-fn extensive_a_closed_loop_halves_the_error_of_a_lap() {
-    if std::env::var_os("GARAD_EXTENSIVE").is_none() {
-        return;
-    }
+#[ignore = "a minute in a release build: three runs of a lap"]
+fn a_closed_loop_halves_the_error_of_a_lap() {
     let scene = Scene::new(&SceneConfig {
         frames: 800,
         noise: true,
@@ -69,10 +67,8 @@ fn extensive_a_closed_loop_halves_the_error_of_a_lap() {
 /// 20.6 m, two laps and a bit. With the default 1000 features the open path drifts so little that closing
 /// it gains a factor of two (decision 007).
 #[test]
-fn extensive_two_closed_laps_have_a_third_of_the_error() {
-    if std::env::var_os("GARAD_EXTENSIVE").is_none() {
-        return;
-    }
+#[ignore = "minutes in a release build: two runs of 1600 frames"]
+fn two_closed_laps_have_a_third_of_the_error() {
     let scene = Scene::new(&SceneConfig {
         frames: 1600,
         width: 320,

@@ -1,7 +1,6 @@
 //! The tracker on scenes whose truth is exact.
 //!
-//! Small images and few frames, so that every test takes seconds; the long ones run with
-//! `GARAD_EXTENSIVE=1`.
+//! Small images and few frames, so that every test takes seconds; the long one is ignored unless asked for.
 
 mod common;
 
@@ -208,10 +207,8 @@ fn true_labels_keep_people_out_of_the_pose() {
 
 /// The figures of the README on full-size images.
 #[test]
-fn extensive_static_twins_at_full_size() {
-    if std::env::var_os("GARAD_EXTENSIVE").is_none() {
-        return;
-    }
+#[ignore = "minutes: 640x480, twice"]
+fn static_twins_at_full_size() {
     for (noise, limit_m) in [(false, 0.0015), (true, 0.003)] {
         let scene = Scene::new(&SceneConfig {
             noise,
