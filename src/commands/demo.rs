@@ -3,7 +3,7 @@
 use std::sync::mpsc::sync_channel;
 
 use anyhow::Result;
-use garad::output::{self, Judged};
+use garad::output::{self, Judged, Truth};
 use garad::run;
 use garad::source::SourceFrame;
 use garad_core::Par;
@@ -82,8 +82,8 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         });
         run::run(&camera, receiver.into_iter(), scene.len(), &options)
     })?;
-    let ground_truth = scene.trajectory();
-    let judged = Judged::new(&name, &result, Some(&ground_truth), "exact ground truth");
+    let truth = Truth::exact(scene.trajectory());
+    let judged = Judged::new(&name, &result, Some(&truth));
     output::write(&out, &result, &judged, &[])?;
     for line in judged.summary() {
         say(&line)?;

@@ -5,7 +5,9 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand, ValueEnum};
 use garad_eval::plot::{trajectory_panel, widest_planes};
-use garad_eval::{Alignment, AteOptions, RpeDelta, RpeOptions, Stats, ate, jitter, rpe};
+use garad_eval::{Alignment, Ate, AteOptions, RpeDelta, RpeOptions, Stats, ate, jitter, rpe};
+
+use nalgebra::Vector3;
 
 use super::{eval_render, read_poses, say};
 
@@ -75,6 +77,7 @@ fn trajectory(args: &TrajectoryArgs) -> Result<()> {
             args.ground_truth.display()
         )
     })?;
+    let scale = judged.truth_from_estimate.scale;
     let relative = rpe(
         &ground_truth,
         &estimate,
@@ -93,6 +96,7 @@ fn trajectory(args: &TrajectoryArgs) -> Result<()> {
     if args.json {
         let figures = serde_json::json!({
             "protocol": options.describe(),
+            "scale": scale,
             "ate": to_json(&judged.stats),
             "rpe": relative.as_ref().ok().map(|r| serde_json::json!({
                 "interval_s": args.rpe_delta,
@@ -112,6 +116,17 @@ fn trajectory(args: &TrajectoryArgs) -> Result<()> {
         options.describe(),
         judged.stats.pairs
     ))?;
+    if options.alignment == Alignment::Similarity {
+        let doubt = match explains_half(&judged) {
+            true => "",
+            false => {
+                "; uncertain: the aligned estimate explains less than half of the reference's motion"
+            }
+        };
+        say(&format!(
+            "scale      {scale:.6}, by which the estimate was multiplied{doubt}"
+        ))?;
+    }
     say(&format!("ATE [m]    {}", row(&judged.stats)))?;
     match relative {
         Ok(relative) => {
@@ -130,6 +145,19 @@ fn trajectory(args: &TrajectoryArgs) -> Result<()> {
         )),
         Err(error) => say(&format!("jitter     cannot be judged: {error}")),
     }
+}
+
+/// Whether the squared error is below half of the reference's own variance.
+fn explains_half(judged: &Ate) -> bool {
+    let points = &judged.points;
+    let sum = points
+        .iter()
+        .fold(Vector3::zeros(), |sum, p| sum + p.ground_truth);
+    let mean = sum / points.len() as f64;
+    let variance = points
+        .iter()
+        .fold(0.0, |sum, p| sum + (p.ground_truth - mean).norm_squared());
+    judged.stats.sse < 0.5 * variance
 }
 
 fn row(s: &Stats) -> String {

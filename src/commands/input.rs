@@ -3,10 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
+use garad::output::Truth;
 use garad::recording::{Recording, fingerprint};
 use garad::source::SourceFrame;
 use garad_core::MaskImage;
-use garad_dataset::{Dataset, Frame, MASK_FOLDER, OpenOptions, Preset};
+use garad_dataset::{Dataset, Frame, MASK_FOLDER, OpenOptions, Preset, bonn_camera_from_marker};
 
 /// Which frames of a recording, seen by which camera.
 #[derive(Debug, clap::Args)]
@@ -123,12 +125,35 @@ pub(crate) fn times(dataset: &Dataset, n: usize) -> Vec<f64> {
     (0..n).filter_map(|i| dataset.timestamp(i)).collect()
 }
 
-/// What the ground truth of a recording is of.
-pub(crate) fn raw_protocol(dataset: &Dataset) -> &'static str {
-    match dataset.preset() {
-        Some(Preset::Bonn) => "raw ground truth (marker)",
-        _ => "raw ground truth",
-    }
+/// Which ground truth positions are compared with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum GroundTruth {
+    /// As recorded.
+    Raw,
+    /// BONN only: transformed from the marker to the camera.
+    Camera,
+}
+
+/// The ground truth of a recording, if it has one.
+pub(crate) fn truth(dataset: &Dataset, which: GroundTruth) -> Option<Truth> {
+    let raw = dataset.ground_truth()?;
+    let bonn = dataset.preset() == Some(Preset::Bonn);
+    let of_camera = bonn.then(|| bonn_camera_from_marker(raw));
+    Some(match (which, of_camera) {
+        (GroundTruth::Camera, Some(poses)) => Truth {
+            poses,
+            of_camera: None,
+            protocol: "ground truth moved from marker to camera",
+        },
+        (_, of_camera) => Truth {
+            poses: raw.to_vec(),
+            protocol: match of_camera {
+                Some(_) => "raw ground truth (marker)",
+                None => "raw ground truth",
+            },
+            of_camera,
+        },
+    })
 }
 
 /// A folder of masks.

@@ -3,17 +3,16 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
-use clap::ValueEnum;
 use garad::output::{self, Judged};
 use garad::progress::note;
 use garad::render_quality;
-use garad::run::{Run, RunOptions};
+use garad::run::{Run, RunOptions, why_untracked};
 use garad::session;
 use garad_core::Par;
-use garad_dataset::{Dataset, Preset, bonn_camera_from_marker};
+use garad_dataset::{Dataset, Preset};
 
-use super::input::{InputArgs, Masks, frames, frames_from, raw_protocol, recording, times};
-use super::{CommonArgs, ProfileArgs, say};
+use super::input::{GroundTruth, InputArgs, Masks, frames, frames_from, recording, times};
+use super::{CommonArgs, ProfileArgs, input, say};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -30,7 +29,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "DIR")]
     oracle_labels: Option<PathBuf>,
     /// Ground truth to compare with. BONN records the poses of a marker on the camera; published figures
-    /// are against those raw poses.
+    /// are against those raw poses. RPE and jitter are of the camera either way.
     #[arg(long, value_enum, default_value_t = GroundTruth::Raw)]
     ground_truth: GroundTruth,
     /// Save the complete state after the last frame, or after `--max-frames`, to be resumed.
@@ -46,14 +45,6 @@ pub(crate) struct Args {
         "resume", "save_session", "profile", "config", "without", "refine", "seed", "oracle_labels",
     ])]
     localise: Option<PathBuf>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum GroundTruth {
-    /// As recorded.
-    Raw,
-    /// BONN only: transformed from the marker to the camera.
-    Camera,
 }
 
 /// Skipped frames listed on the terminal.
@@ -72,7 +63,9 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             dataset.calibration().source
         ))?;
     }
-    for warning in dataset.warnings() {
+    let look = dataset.first_look(run_options.config.features.max_depth_m)?;
+    let warnings = [dataset.warnings(), &look.warnings].concat();
+    for warning in &warnings {
         note(&format!("warning: {warning}"));
     }
     let oracle = args
@@ -87,11 +80,6 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             args.dataset.display()
         );
     }
-    let ground_truth = dataset.ground_truth().map(|raw| match args.ground_truth {
-        GroundTruth::Raw => raw.to_vec(),
-        GroundTruth::Camera => bonn_camera_from_marker(raw),
-    });
-
     let out = args.common.out_folder(dataset.name())?;
     if let Some(folder) = &args.save_session {
         session::prepare(folder)?;
@@ -102,8 +90,8 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     }
     // Localisation does not label, so there is nothing to judge.
     let judged_by = truth.as_ref().filter(|_| args.localise.is_none());
-    let input = frames_from(run.done(), &dataset, oracle.as_ref(), judged_by);
-    run.process(input, dataset.len());
+    let images = frames_from(run.done(), &dataset, oracle.as_ref(), judged_by);
+    run.process(images, dataset.len());
     let saved = match &args.save_session {
         Some(folder) => {
             let recording = recording(&dataset, oracle.as_ref(), run.done());
@@ -113,11 +101,8 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     };
     let result = run.finish()?;
 
-    let protocol = match args.ground_truth {
-        GroundTruth::Camera => "ground truth moved from marker to camera",
-        GroundTruth::Raw => raw_protocol(&dataset),
-    };
-    let mut judged = Judged::new(dataset.name(), &result, ground_truth.as_deref(), protocol);
+    let path_truth = input::truth(&dataset, args.ground_truth);
+    let mut judged = Judged::new(dataset.name(), &result, path_truth.as_ref());
     if run_options.config.train.final_iterations > 0 {
         let quality = render_quality::judge(
             result.gaussians(),
@@ -129,23 +114,28 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         )?;
         judged.add_render(&quality);
     }
-    output::write(&out, &result, &judged, dataset.warnings())?;
+    output::write(&out, &result, &judged, &warnings)?;
     if result.log.stopped_by.is_none() {
         warn_of_skipped(&result.log.skipped);
     }
     for line in judged.summary() {
         say(&line)?;
     }
+    for warning in &judged.warnings {
+        note(&format!("warning: {warning}"));
+    }
     say(&format!("results in {}", out.display()))?;
     saved.context("the session is not saved; results are written")?;
     if let Some(folder) = &args.save_session {
         say(&format!("session in {}", folder.display()))?;
     }
+    let nothing = (judged.metrics.tracked == 0)
+        .then(|| why_untracked(&result, &look.depth, dataset.calibration()));
     if let Some(error) = result.log.stopped_by {
         return Err(error.context("stopped by --strict; results so far are written"));
     }
-    if judged.metrics.tracked == 0 {
-        bail!("no frame could be tracked; results are written");
+    if let Some(why) = nothing {
+        bail!("no frame could be tracked: {why}; results are written");
     }
     Ok(())
 }

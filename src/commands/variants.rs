@@ -12,8 +12,8 @@ use garad_core::Par;
 use garad_dataset::Dataset;
 use garad_eval::{AteOptions, Comparison, Row};
 
-use super::input::{Masks, frames, raw_protocol};
-use super::{make_folder, say};
+use super::input::{GroundTruth, Masks, frames};
+use super::{input, make_folder, say};
 
 /// A run to be compared with others.
 #[derive(Debug)]
@@ -46,7 +46,11 @@ pub(crate) fn compare(
     table: Table,
     out: &Path,
 ) -> Result<()> {
-    for warning in dataset.warnings() {
+    let limit_m = (variants.iter())
+        .map(|variant| variant.options.config.features.max_depth_m)
+        .fold(0.0, f64::max);
+    let look = dataset.first_look(limit_m)?;
+    for warning in dataset.warnings().iter().chain(&look.warnings) {
         note(&format!("warning: {warning}"));
     }
     let mut compared = Vec::new();
@@ -58,9 +62,9 @@ pub(crate) fn compare(
         compared.push(one.unwrap_or_else(|error| Compared::failed(name, &error)));
     }
     let mut notes = vec![MEASURED.to_owned()];
-    if dataset.ground_truth().is_some() {
+    if let Some(truth) = input::truth(dataset, GroundTruth::Raw) {
         let how = AteOptions::default().describe();
-        notes.insert(0, format!("ATE: {how}, {}.", raw_protocol(dataset)));
+        notes.insert(0, format!("ATE: {how}, {}.", truth.protocol));
     }
     notes.extend(table.notes);
     let comparison = Comparison {
@@ -85,18 +89,18 @@ pub(crate) fn compare(
 fn run_one(dataset: &Dataset, name: &str, options: &RunOptions, out: &Path) -> Result<Compared> {
     let folder = out.join(name.replace(' ', "_"));
     make_folder(&folder)?;
-    let truth = Masks::of_recording(dataset);
+    let masks = Masks::of_recording(dataset);
     let camera = &dataset.calibration().camera;
-    let input = || frames(dataset, None, truth.as_ref());
+    let images = || frames(dataset, None, masks.as_ref());
     let before_ms = processor_ms();
-    let result = run::run(camera, input(), dataset.len(), options)?;
+    let result = run::run(camera, images(), dataset.len(), options)?;
     let spent_ms = before_ms.zip(processor_ms()).map(|(a, b)| b - a);
-    let ground_truth = dataset.ground_truth();
-    let mut judged = Judged::new(dataset.name(), &result, ground_truth, raw_protocol(dataset));
+    let truth = input::truth(dataset, GroundTruth::Raw);
+    let mut judged = Judged::new(dataset.name(), &result, truth.as_ref());
     if !result.gaussians().is_empty() {
         let (map, path) = (result.gaussians(), &result.trajectory);
         let par = Par::new(options.threads);
-        let quality = render_quality::judge(map, camera, path, input(), par, options.quiet)?;
+        let quality = render_quality::judge(map, camera, path, images(), par, options.quiet)?;
         judged.add_render(&quality);
     }
     output::write(&folder, &result, &judged, dataset.warnings())?;

@@ -1,11 +1,63 @@
 //! [`Judged`]: the figures of a run.
 
 use garad_core::{Label, StampedPose};
-use garad_eval::{Ate, AteOptions, MAX_DT_S, Metrics, RpeOptions, ate, jitter, rpe};
+use garad_eval::{Alignment, Ate, AteOptions, MAX_DT_S, Metrics, RpeOptions, ate, jitter, rpe};
 
 use crate::render_quality::RenderQuality;
 use crate::run::RunResult;
 use crate::usage::peak_resident_mb;
+
+/// The true path that a run is judged by.
+#[derive(Debug, Clone)]
+pub struct Truth {
+    /// Poses whose positions the ATE compares.
+    pub poses: Vec<StampedPose>,
+    /// Poses of the camera itself, where `poses` are of another body on the sensor: RPE and jitter compare motions,
+    /// and a lever arm changes those. `None`: `poses` are the camera's.
+    pub of_camera: Option<Vec<StampedPose>>,
+    /// What the truth is, in words.
+    pub protocol: &'static str,
+}
+
+impl Truth {
+    /// Exact poses of the camera.
+    #[must_use]
+    pub fn exact(poses: Vec<StampedPose>) -> Self {
+        Self {
+            poses,
+            of_camera: None,
+            protocol: "exact ground truth",
+        }
+    }
+
+    fn camera_poses(&self) -> &[StampedPose] {
+        self.of_camera.as_ref().unwrap_or(&self.poses)
+    }
+}
+
+/// Best scale of the path beyond which units are wrong, not the estimate.
+const SCALE_IN_DOUBT: f64 = 1.2;
+/// A scale explains an error if it leaves no more than this part of it.
+const EXPLAINED: f64 = 0.5;
+
+/// A word on the scale of a path: `Some` where a similarity fits the truth far better than a rigid motion, with a
+/// scale beyond [`SCALE_IN_DOUBT`].
+fn scale_in_doubt(rigid: &Ate, truth: &[StampedPose], path: &[StampedPose]) -> Option<String> {
+    let options = AteOptions {
+        alignment: Alignment::Similarity,
+        ..AteOptions::default()
+    };
+    let scaled = ate(truth, path, &options).ok()?;
+    let scale = scaled.truth_from_estimate.scale;
+    let (factor, what) = match scale > 1.0 {
+        true => (scale, "shorter"),
+        false => (1.0 / scale, "longer"),
+    };
+    let explained = scaled.stats.rmse < EXPLAINED * rigid.stats.rmse;
+    (explained && factor > SCALE_IN_DOUBT).then(|| {
+        format!("the path is {factor:.1} times {what} than the truth: is depth_factor right?")
+    })
+}
 
 /// The figures of a run.
 #[derive(Debug)]
@@ -16,17 +68,15 @@ pub struct Judged {
     pub ate: Option<Ate>,
     /// How it was measured, or why it was not.
     pub protocol: String,
+    /// What the figures say of the recording rather than of the run.
+    pub warnings: Vec<String>,
 }
 
 impl Judged {
-    /// Judges the path of a run. Without ground truth the protocol says so; it is not an error.
+    /// Judges the path of a run: ATE against the poses of the truth, RPE and jitter against those of the camera.
+    /// Without ground truth the protocol says so; it is not an error.
     #[must_use]
-    pub fn new(
-        dataset: &str,
-        result: &RunResult,
-        ground_truth: Option<&[StampedPose]>,
-        which_truth: &str,
-    ) -> Self {
+    pub fn new(dataset: &str, result: &RunResult, truth: Option<&Truth>) -> Self {
         let mut metrics = Metrics::new(env!("CARGO_PKG_VERSION"), dataset);
         metrics.frames = result.log.frames.len() + result.log.skipped.len();
         metrics.tracked = result.trajectory.len();
@@ -40,33 +90,41 @@ impl Judged {
         metrics.map.dynamic = Some(dynamic.count());
         metrics.labels = (&result.log.labels.judged).into();
         let options = AteOptions::default();
-        let (ate, protocol) = match ground_truth {
+        let (path, mut warnings) = (&result.trajectory, Vec::new());
+        let (ate, protocol) = match truth {
             None => (None, "cannot be judged: no ground truth".to_owned()),
-            Some(_) if result.trajectory.is_empty() => {
+            Some(_) if path.is_empty() => {
                 (None, "cannot be judged: no frame has a pose".to_owned())
             }
-            Some(truth) => match ate(truth, &result.trajectory, &options) {
-                Ok(ate) => (Some(ate), format!("{}, {which_truth}", options.describe())),
+            Some(truth) => match ate(&truth.poses, path, &options) {
+                Ok(ate) => {
+                    warnings.extend(scale_in_doubt(&ate, &truth.poses, path));
+                    let other_body = match truth.of_camera {
+                        Some(_) => "; RPE and jitter against poses of the camera",
+                        None => "",
+                    };
+                    let how = format!("{}, {}{other_body}", options.describe(), truth.protocol);
+                    (Some(ate), how)
+                }
                 Err(error) => (None, format!("cannot be judged: {error}")),
             },
         };
         if let Some(ate) = &ate {
             metrics.ate = ate.into();
         }
-        if let Some(Ok(rpe)) =
-            ground_truth.map(|truth| rpe(truth, &result.trajectory, &RpeOptions::default()))
-        {
-            metrics.rpe = (&rpe).into();
-        }
-        if let Some(Ok(jitter)) =
-            ground_truth.map(|truth| jitter(truth, &result.trajectory, MAX_DT_S))
-        {
-            metrics.jitter = (&jitter).into();
+        if let Some(truth) = truth.map(Truth::camera_poses) {
+            if let Ok(rpe) = rpe(truth, path, &RpeOptions::default()) {
+                metrics.rpe = (&rpe).into();
+            }
+            if let Ok(jitter) = jitter(truth, path, MAX_DT_S) {
+                metrics.jitter = (&jitter).into();
+            }
         }
         Self {
             metrics,
             ate,
             protocol,
+            warnings,
         }
     }
 
@@ -89,8 +147,9 @@ impl Judged {
         )];
         if let Some(frame) = m.timing.get("frame") {
             lines.push(format!(
-                "time       {:.1} s in all; a frame {:.1} ms median, {:.1} ms at 95 %, {} thread(s)",
+                "time       {:.1} s in all; tracking alone {:.1} frames/s ({:.1} ms median, {:.1} ms at 95 %), {} thread(s)",
                 m.wall_s.unwrap_or(0.0),
+                1e3 * frame.calls as f64 / frame.total_ms.max(1e-3),
                 frame.median_ms,
                 frame.p95_ms,
                 m.threads
@@ -149,5 +208,50 @@ impl Judged {
             None => lines.push(format!("ATE        {}", self.protocol)),
         }
         lines
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use garad_core::Se3;
+    use nalgebra::Vector3;
+
+    /// A bent path, scaled; every second position moved aside by `noise_m`.
+    fn path(scale: f64, noise_m: f64) -> Vec<StampedPose> {
+        let pose = |i: u8| {
+            let (x, side) = (f64::from(i), noise_m * f64::from(i % 2));
+            let at = Vector3::new(0.1 * x, 0.02 * x * x + side, 0.05 * x) * scale;
+            StampedPose {
+                t_s: x,
+                world_from_camera: Se3::new(Default::default(), at),
+            }
+        };
+        (0..20).map(pose).collect()
+    }
+
+    #[test]
+    fn a_path_of_wrong_units_is_called_so() {
+        let truth = path(1.0, 0.0);
+        let said = |scale: f64, noise_m: f64| {
+            let estimate = path(scale, noise_m);
+            let rigid = ate(&truth, &estimate, &AteOptions::default()).expect("judged");
+            scale_in_doubt(&rigid, &truth, &estimate)
+        };
+        let cases = [
+            (0.2, 0.01, Some("5.0 times shorter")),
+            (1.3, 0.01, Some("1.3 times longer")),
+            (1.15, 0.01, None),
+            (0.87, 0.01, None),
+            (0.7, 3.0, None), // the noise is the larger error
+        ];
+        for (scale, noise_m, expected) in cases {
+            let warning = said(scale, noise_m);
+            let right = match expected {
+                Some(words) => warning.as_ref().is_some_and(|w| w.contains(words)),
+                None => warning.is_none(),
+            };
+            assert!(right, "scale {scale}, noise {noise_m} m: {warning:?}");
+        }
     }
 }

@@ -26,7 +26,7 @@ use garad_eval::report::{FrameState, ReportData};
 use garad_slam::TrackingState;
 
 pub use self::comparison::{Compared, write_comparison};
-pub use self::judged::Judged;
+pub use self::judged::{Judged, Truth};
 use self::moments::Moment;
 use crate::images;
 use crate::run::RunResult;
@@ -122,7 +122,12 @@ fn report(
         ate: judged.ate.as_ref(),
         frames: &frames.collect::<Vec<_>>(),
         strips: &moments.iter().map(Moment::strip).collect::<Vec<_>>(),
-        warnings: &warnings.iter().cloned().chain(skipped).collect::<Vec<_>>(),
+        warnings: &warnings
+            .iter()
+            .chain(&judged.warnings)
+            .cloned()
+            .chain(skipped)
+            .collect::<Vec<_>>(),
         config_toml: config,
     })
 }

@@ -20,7 +20,8 @@ pub(super) struct Moment<'a> {
 struct View {
     color: RgbImage,
     depth: RgbImage,
-    quality: ImageQuality,
+    /// Outside the mask, if there is one; `None` where it covers the image.
+    quality: Option<ImageQuality>,
 }
 
 impl<'a> Moment<'a> {
@@ -40,8 +41,10 @@ impl<'a> Moment<'a> {
                 let rendered = fast::render(map, camera, &camera_from_world, &options, par)?;
                 let depth = rendered.normalized_depth();
                 let color = images::color_image(&rendered);
+                // People are not in the map: what they cover is not compared.
+                let mask = snapshot.truth.as_ref().or(snapshot.mask.as_ref());
                 Some(View {
-                    quality: compare_images(&color, &snapshot.rgb, None, par)?,
+                    quality: compare_images(&color, &snapshot.rgb, mask, par).ok(),
                     depth: images::depth_image(&depth, images::depth_range(&depth)),
                     color,
                 })
@@ -76,7 +79,8 @@ impl<'a> Moment<'a> {
             input: &self.snapshot.rgb,
             render: self.rendered.as_ref().map(|view| &view.color),
             labels: Some(&self.labels),
-            quality: self.rendered.as_ref().map(|view| view.quality),
+            quality: self.rendered.as_ref().and_then(|view| view.quality),
+            outside_mask: self.snapshot.truth.is_some() || self.snapshot.mask.is_some(),
         }
     }
 }

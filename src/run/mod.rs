@@ -2,6 +2,7 @@
 
 pub mod judge;
 pub mod snapshot;
+mod untracked;
 
 use std::io::{Read, Write};
 use std::time::{Duration, Instant};
@@ -14,6 +15,7 @@ use garad_slam::{Config, FrameReport, SessionError, Slam};
 
 use self::judge::LabelLog;
 use self::snapshot::Snapshot;
+pub use self::untracked::why_untracked;
 use crate::progress::Progress;
 use crate::recording::Recording;
 use crate::source::SourceFrame;

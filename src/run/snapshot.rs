@@ -16,6 +16,8 @@ pub struct Snapshot {
     pub rgb: RgbImage,
     /// The computed mask or, without one, the given mask.
     pub mask: Option<MaskImage>,
+    /// The true mask, where the recording has one.
+    pub truth: Option<MaskImage>,
     /// Keypoints (x, y) with their roles.
     pub keypoints: Vec<(f32, f32, KeypointRole)>,
 }
@@ -61,6 +63,7 @@ impl Snapshot {
             t_s: frame.t_s,
             mask: computed.map_or(frame.mask, |labels| Some(labels.mask(frame.rgb.size()))),
             rgb: frame.rgb,
+            truth: frame.truth,
             keypoints,
         }
     }

@@ -196,3 +196,38 @@ fn bad_trajectories_are_reported() {
     ];
     garad(command).fails_with(&["max_dt", "NaN"]);
 }
+
+/// A similarity prints its scale, and refuses a reference that says nothing of it.
+#[test]
+fn the_scale_of_a_similarity() {
+    let halved = TRUTH.map(|p| p.map(|v| 0.5 * v));
+    let bench = bench_with(&path(&halved));
+    let (truth, estimate) = (bench.path("truth.txt"), bench.path("estimate.txt"));
+    let sim3 = [
+        "eval",
+        "trajectory",
+        arg(&truth),
+        arg(&estimate),
+        "--align",
+        "sim3",
+    ];
+    let answer = garad(sim3).succeeds();
+    assert!(answer.out.contains("scale      2.000000"), "{answer:?}");
+    assert!(!answer.out.contains("uncertain"), "{answer:?}");
+    assert_close(&judge(&bench, &["--align", "sim3"])["scale"], 2.0);
+    assert_close(&judge(&bench, &[])["scale"], 1.0);
+
+    fs::write(&truth, path(&[[1.0, 2.0, 3.0]; 5])).expect("written");
+    garad(sim3).fails_with(&["estimate.txt against", "scale is undetermined"]);
+    // A reference that trembles at rest.
+    let tremble = [
+        [0.0, 0.0, 0.0],
+        [1e-4, 0.0, 0.0],
+        [0.0, 1e-4, 0.0],
+        [1e-4, 0.0, 1e-4],
+        [0.0; 3],
+    ];
+    fs::write(&truth, path(&tremble)).expect("written");
+    let answer = garad(sim3).succeeds();
+    assert!(answer.out.contains("uncertain"), "{answer:?}");
+}

@@ -56,6 +56,14 @@ pub enum DatasetError {
         /// Which number.
         source: CameraError,
     },
+    /// A calibration whose numbers no camera has.
+    #[error("camera from {source_name}: {problem}")]
+    Implausible {
+        /// Where the calibration came from.
+        source_name: String,
+        /// Which number, and what was expected.
+        problem: String,
+    },
     /// A list without entries.
     #[error("{}: lists no image; expected lines `timestamp filename`", path.display())]
     EmptyList {

@@ -89,7 +89,8 @@ pub fn align_trajectory(aligned_from_world: &Sim3, trajectory: &[StampedPose]) -
 ///
 /// # Errors
 /// [`EvalError::SizeMismatch`] for lists of unequal length, [`EvalError::TooFew`] below 3
-/// points, [`EvalError::NonFinite`], [`EvalError::ScaleUndetermined`].
+/// points, [`EvalError::NonFinite`], [`EvalError::ScaleUndetermined`] where λ is nothing beside
+/// √(Σ|fromᵢ|² Σ|toᵢ|²): a list of equal points, or lists without any correlation.
 pub fn align_points(
     from: &[Vector3<f64>],
     to: &[Vector3<f64>],
@@ -123,18 +124,22 @@ pub fn align_points(
     let (from, mean_from) = centred(from);
     let (to, mean_to) = centred(to);
     let mut correlation = Matrix3::zeros(); // Σ from toᵀ
-    let mut extent2 = 0.0; // Σ |from|²
+    let [mut from2, mut to2] = [0.0; 2]; // Σ |from|², Σ |to|²
     for (f, t) in from.iter().zip(&to) {
         correlation += f * t.transpose();
-        extent2 += f.norm_squared();
+        from2 += f.norm_squared();
+        to2 += t.norm_squared();
     }
     let rotation = best_rotation(&correlation);
     let scale = match alignment {
-        Alignment::Similarity if extent2 > 0.0 => {
-            let moved = from.iter().zip(&to);
-            moved.fold(0.0, |sum, (f, t)| sum + t.dot(&(rotation * *f))) / extent2
+        Alignment::Similarity => {
+            let pairs = from.iter().zip(&to);
+            let along = pairs.fold(0.0, |sum, (f, t)| sum + t.dot(&(rotation * *f)));
+            if along <= NO_CORRELATION * (from2 * to2).sqrt() {
+                return Err(EvalError::ScaleUndetermined);
+            }
+            along / from2
         }
-        Alignment::Similarity => return Err(EvalError::ScaleUndetermined),
         Alignment::None | Alignment::Rigid => 1.0,
     };
     Ok(Sim3 {
@@ -158,6 +163,9 @@ fn centred(points: &[Vector3<f64>]) -> (Vec<Vector3<f64>>, Vector3<f64>) {
         first + mean_about_first,
     )
 }
+
+/// Correlation of two lists of points below which one says nothing about the scale of the other.
+const NO_CORRELATION: f64 = 1e-9;
 
 /// Eigenvalues closer than this, relative to the largest, count as equal: that rotation is then
 /// undetermined. This is so when the extent of the points across a line is 1e-6 of that along it.
@@ -272,6 +280,12 @@ mod tests {
         assert_eq!(sim3.rotation, So3::identity(), "no turn");
         let similarity = align_points(&from, &to, Alignment::Similarity);
         assert_eq!(similarity, Err(EvalError::ScaleUndetermined), "no scale");
+        let at_rest = align_points(&to, &from, Alignment::Similarity);
+        assert_eq!(
+            at_rest,
+            Err(EvalError::ScaleUndetermined),
+            "the reference rests"
+        );
     }
 
     #[test]

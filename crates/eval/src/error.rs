@@ -56,8 +56,10 @@ pub enum EvalError {
         /// Size of the second.
         got: (usize, usize),
     },
-    /// All estimated positions are equal: the scale is undetermined.
-    #[error("scale is undetermined: all estimated positions coincide")]
+    /// No motion in one trajectory follows the other: the scale is undetermined.
+    #[error(
+        "scale is undetermined: the estimate or the reference is at rest; expected motion in both, or no alignment of scale"
+    )]
     ScaleUndetermined,
     /// The plotting library failed.
     #[error("drawing a plot: {0}")]

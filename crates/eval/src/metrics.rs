@@ -163,6 +163,9 @@ pub struct StageTiming {
     pub p95_ms: f64,
     /// Number of calls.
     pub calls: usize,
+    /// All calls together, milliseconds.
+    #[serde(default)]
+    pub total_ms: f64,
 }
 
 impl Metrics {
@@ -280,6 +283,7 @@ impl StageTiming {
             median_ms: 0.5 * (sorted.get(calls.checked_sub(1)? / 2)? + sorted[calls / 2]),
             p95_ms: sorted[rank - 1],
             calls,
+            total_ms: durations_ms.iter().sum(),
         })
     }
 }
@@ -319,7 +323,7 @@ mod tests {
             labels.keypoints.precision labels.keypoints.recall labels.keypoints.f1 labels.keypoints.wrongly_dynamic \
             labels.pixels.precision labels.pixels.recall labels.pixels.f1 labels.pixels.iou \
             map.gaussians map.dynamic \
-            timing.track.median_ms timing.track.p95_ms timing.track.calls \
+            timing.track.median_ms timing.track.p95_ms timing.track.calls timing.track.total_ms \
             wall_s peak_rss_mb"
             .split_whitespace()
             .collect();
@@ -365,6 +369,7 @@ mod tests {
             median_ms: 50.5,
             p95_ms: 95.0,
             calls: 100,
+            total_ms: 5050.0,
         };
         assert_eq!(timing, expected, "1..=100");
         let one = StageTiming::of(&[7.0]).expect("one call");

@@ -52,4 +52,6 @@ pub struct Strip<'a> {
     pub labels: Option<&'a RgbImage>,
     /// Render against input.
     pub quality: Option<ImageQuality>,
+    /// Whether `quality` is of the pixels outside a mask of what moves.
+    pub outside_mask: bool,
 }

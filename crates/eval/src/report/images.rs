@@ -28,6 +28,9 @@ fn strip(strip: &Strip<'_>) -> Markup {
     if let Some(quality) = strip.quality {
         let (psnr, ssim) = (quality.psnr_db, quality.ssim);
         caption += &format!(" · {psnr:.1} dB · SSIM {ssim:.3}");
+        if strip.outside_mask {
+            caption += " outside the mask";
+        }
     }
     let images = [
         ("input", Some(strip.input)),

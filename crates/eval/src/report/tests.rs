@@ -83,6 +83,7 @@ fn sample() -> Sample {
             median_ms,
             p95_ms,
             calls,
+            total_ms: calls as f64 * median_ms,
         };
         metrics.timing.insert(name.to_owned(), timing);
     }
@@ -110,6 +111,7 @@ fn page(sample: &Sample, judged: bool) -> String {
             ssim: 0.812,
             pixels: 19_200,
         }),
+        outside_mask: true,
     };
     let unjudged = Metrics::new("0.1.0", "my recording");
     html(&ReportData {
