@@ -26,6 +26,7 @@ pub mod packed_labels;
 pub mod profiles;
 pub mod progress;
 pub mod published;
+pub mod reason;
 pub mod recording;
 pub mod render_quality;
 pub mod run;

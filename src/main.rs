@@ -4,6 +4,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use garad::progress;
+use garad::reason::reason;
 
 mod commands;
 
@@ -74,7 +75,7 @@ fn main() -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            progress::note(&format!("error: {error:#}"));
+            progress::note(&format!("error: {}", reason(&error)));
             ExitCode::from(BAD_INPUT)
         }
     }

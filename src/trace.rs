@@ -12,6 +12,7 @@ use garad_slam::{Silent, Slam};
 use serde_json::Value;
 
 use crate::progress::Progress;
+use crate::reason::reason;
 use crate::run::RunOptions;
 use crate::source::SourceFrame;
 
@@ -47,7 +48,7 @@ pub fn record(
             Err(error) if options.strict => return Err(error),
             Err(error) => {
                 progress.step("frame skipped");
-                skipped.push(format!("{error:#}"));
+                skipped.push(reason(&error));
             }
         }
     }

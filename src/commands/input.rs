@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use garad::output::Truth;
+use garad::reason::reason;
 use garad::recording::{Recording, fingerprint};
 use garad::source::SourceFrame;
 use garad_core::MaskImage;
@@ -19,6 +20,20 @@ pub(crate) struct InputArgs {
     /// Calibration file: `width height fx fy cx cy depth_factor fps [k1 k2 p1 p2 k3]`.
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
+    /// Raw depth per metre, instead of the calibration's: 1000 for millimetres.
+    #[arg(long, value_name = "N")]
+    depth_factor: Option<f64>,
+    /// Largest difference in time of a colour image and its depth image, seconds.
+    #[arg(long, value_name = "SECONDS", default_value_t = OpenOptions::default().max_dt_s)]
+    max_dt: f64,
+    /// Added to the times of depth images before they are paired, seconds.
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    depth_offset: f64,
     /// Stop after this many frames.
     #[arg(long, value_name = "N")]
     max_frames: Option<usize>,
@@ -38,7 +53,9 @@ impl InputArgs {
             max_frames: self.max_frames,
             first_frame: self.first_frame,
             strict: self.strict,
-            ..OpenOptions::default()
+            depth_factor: self.depth_factor,
+            max_dt_s: self.max_dt,
+            depth_offset_s: self.depth_offset,
         };
         Ok(Dataset::open(path, &options)?)
     }
@@ -90,7 +107,7 @@ pub(crate) fn frames_from<'a>(
         let truth = truth.and_then(|masks| match masks.read(dataset, i) {
             Ok(mask) => mask,
             Err(error) => {
-                tracing::warn!("labels of frame {i} are not judged: {error:#}");
+                tracing::warn!("labels of frame {i} are not judged: {}", reason(&error));
                 None
             }
         });

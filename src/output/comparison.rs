@@ -10,6 +10,7 @@ use garad_eval::{Comparison, Figures, Row};
 
 use super::moments::Moment;
 use super::{Judged, write_text};
+use crate::reason::reason;
 use crate::run::RunResult;
 
 /// A run as it is compared with others.
@@ -56,7 +57,7 @@ impl Compared {
     #[must_use]
     pub fn failed(name: &str, error: &anyhow::Error) -> Self {
         Self {
-            row: Row::failed(name, &format!("{error:#}")),
+            row: Row::failed(name, &reason(error)),
             views: BTreeMap::new(),
             inputs: BTreeMap::new(),
         }
@@ -66,7 +67,7 @@ impl Compared {
 /// Why a figure is missing.
 fn remark(result: &RunResult, judged: &Judged) -> String {
     match &result.log.stopped_by {
-        Some(error) => format!("stopped by --strict: {error:#}"),
+        Some(error) => format!("stopped by --strict: {}", reason(error)),
         None if result.trajectory.is_empty() => "no frame could be tracked".to_owned(),
         None if judged.ate.is_none() => judged.protocol.clone(),
         None => String::new(),

@@ -17,6 +17,7 @@ use self::judge::LabelLog;
 use self::snapshot::Snapshot;
 pub use self::untracked::why_untracked;
 use crate::progress::Progress;
+use crate::reason::reason;
 use crate::recording::Recording;
 use crate::source::SourceFrame;
 use crate::stopwatch::{SharedStopwatch, Stopwatch};
@@ -265,7 +266,7 @@ impl Run {
                 }
                 Err(error) => {
                     progress.step("frame skipped");
-                    log.skipped.push(format!("{error:#}"));
+                    log.skipped.push(reason(&error));
                     if self.options.strict {
                         log.stopped_by = Some(error);
                         break;

@@ -164,16 +164,36 @@ impl Calibration {
         self.depth_max_raw.unwrap_or(u16::MAX)
     }
 
+    /// The calibration with another number of raw depth per metre; what counts as missing follows the
+    /// [module's rule](self), unless it was given.
+    ///
+    /// # Errors
+    /// [`DatasetError::Option`] for a factor that is not positive and finite.
+    pub fn with_depth_factor(mut self, depth_factor: f64) -> Result<Self, DatasetError> {
+        if !(depth_factor > 0.0 && depth_factor.is_finite()) {
+            return Err(DatasetError::Option {
+                option: "depth_factor",
+                value: depth_factor.to_string(),
+                expected: "a positive number",
+            });
+        }
+        let given = self
+            .depth_max_raw
+            .filter(|raw| Some(*raw) != missing_by_rule(self.depth_factor));
+        self.depth_max_raw = given.or_else(|| missing_by_rule(depth_factor));
+        self.depth_factor = depth_factor;
+        self.source += &format!(", depth_factor {depth_factor} from the options");
+        Ok(self)
+    }
+
     /// Reads a calibration file.
     ///
     /// # Errors
     /// [`DatasetError::NotFound`], [`DatasetError::Io`], [`DatasetError::TooLarge`], and what
     /// [`Calibration::parse`] finds.
     pub fn read(path: &Path) -> Result<Self, DatasetError> {
-        let bytes = read_file(path)?.ok_or_else(|| DatasetError::NotFound {
-            path: path.to_path_buf(),
-            expected: "a calibration file",
-        })?;
+        let bytes =
+            read_file(path)?.ok_or_else(|| DatasetError::not_found(path, "a calibration file"))?;
         Self::parse(path, &bytes)
     }
 
@@ -251,8 +271,7 @@ impl Calibration {
                 let whole = whole(at(13), value, f64::from(u16::MAX))?;
                 u16::try_from(whole).ok()
             }
-            #[allow(clippy::float_cmp, reason = "exactly 1000")]
-            None => (depth_factor == MILLIMETRES).then_some(MISSING_FROM_IN_MILLIMETRES),
+            None => missing_by_rule(depth_factor),
         };
         Ok(Self {
             camera,
@@ -269,6 +288,11 @@ impl Calibration {
 const MILLIMETRES: f64 = 1000.0;
 /// Raw depth from which their pixels are missing.
 const MISSING_FROM_IN_MILLIMETRES: u16 = 60_000;
+
+#[allow(clippy::float_cmp, reason = "exactly 1000")]
+fn missing_by_rule(depth_factor: f64) -> Option<u16> {
+    (depth_factor == MILLIMETRES).then_some(MISSING_FROM_IN_MILLIMETRES)
+}
 
 /// Line and value of each key.
 type Values = [Option<(usize, f64)>; KEYS.len()];

@@ -13,8 +13,10 @@ use crate::errors::DatasetError;
 use crate::files::{clean_name, read_file};
 use crate::list::{Entry, parse_list};
 use crate::source::Source;
-use crate::trajectory::parse_trajectory;
+use crate::trajectory::{parse_leniently, parse_trajectory};
 
+/// Images whose size is compared with the camera's before the first frame.
+const FIRST_IMAGES: usize = 5;
 /// The folder of a recording that holds its masks, if it has any.
 pub const MASK_FOLDER: &str = "mask";
 
@@ -34,8 +36,12 @@ pub struct OpenOptions {
     pub preset: Option<Preset>,
     /// Calibration by file; wins over everything else.
     pub calibration: Option<PathBuf>,
+    /// Raw depth per metre, instead of the calibration's.
+    pub depth_factor: Option<f64>,
     /// Colour and depth belong together up to this difference in time, seconds.
     pub max_dt_s: f64,
+    /// Added to the times of depth images before they are paired, seconds (the offset of TUM's `associate.py`).
+    pub depth_offset_s: f64,
     /// Times out of order are errors instead of warnings.
     pub strict: bool,
     /// Read at most this many frames.
@@ -49,7 +55,9 @@ impl Default for OpenOptions {
         Self {
             preset: None,
             calibration: None,
+            depth_factor: None,
             max_dt_s: 0.02,
+            depth_offset_s: 0.0,
             strict: false,
             max_frames: None,
             first_frame: 0,
@@ -109,13 +117,23 @@ impl Dataset {
                 expected: "seconds, finite and not negative",
             });
         }
+        if !options.depth_offset_s.is_finite() {
+            return Err(DatasetError::Option {
+                option: "depth_offset_s",
+                value: options.depth_offset_s.to_string(),
+                expected: "seconds, finite",
+            });
+        }
         let source = Source::open(path)?;
         let name = source.name();
         let named = Preset::from_recording_name(&name);
-        let calibration = choose_calibration(path, &source, named, options)?;
+        let mut calibration = choose_calibration(path, &source, named, options)?;
+        if let Some(factor) = options.depth_factor {
+            calibration = calibration.with_depth_factor(factor)?;
+        }
         let mut warnings = Vec::new();
         let pairs = pair_up(path, &source, options, &mut warnings)?;
-        let ground_truth = read_ground_truth(&source, &mut warnings)?;
+        let ground_truth = read_ground_truth(&source, options.strict, &mut warnings)?;
         let dataset = Inner {
             path: path.to_path_buf(),
             source,
@@ -325,34 +343,40 @@ impl Inner {
         origin.check_size(size, (camera.width, camera.height), &reference)
     }
 
-    /// Checks the size of the first image against the camera, and warns if its kind is converted. A
-    /// first image that cannot be read is left to [`Inner::read`], like any other.
+    /// Checks the size of the first images against the camera: an error if none of them has it. Warns if the kind of
+    /// the first is converted. An image that cannot be read, or has another size than others, is left to
+    /// [`Inner::read`].
     fn check_first(mut self) -> Result<Self, DatasetError> {
-        let (colour, _) = self.pair(0)?;
-        let path = self.source.locate(&colour.file);
-        let origin = Origin {
-            frame: Some(0),
-            path: &path,
-        };
-        let Ok(Some(bytes)) = self.source.read(&colour.file) else {
+        let mut first_error = None;
+        for i in 0..self.pairs.len().min(FIRST_IMAGES) {
+            let file = &self.pairs[i].0.file;
+            let path = self.source.locate(file);
+            let origin = Origin {
+                frame: Some(i),
+                path: &path,
+            };
+            let Ok(Some(bytes)) = self.source.read(file) else {
+                continue;
+            };
+            let Ok(kind) = decode::probe_colour(&bytes, origin) else {
+                continue;
+            };
+            if let Err(error) = self.check_size(origin, kind.size) {
+                first_error.get_or_insert(error);
+                continue;
+            }
+            let conversion = match kind.color {
+                ColorType::Rgba8 => "its alpha is dropped",
+                ColorType::L8 => "grey is used for all three colours",
+                ColorType::La8 => "grey is used for all three colours, its alpha is dropped",
+                _ => return Ok(self),
+            };
+            let kind = decode::describe(kind);
+            let warning = format!("{}: {kind}; {conversion}", path.display());
+            self.warnings.push(warning);
             return Ok(self);
-        };
-        let Ok(kind) = decode::probe_colour(&bytes, origin) else {
-            return Ok(self);
-        };
-        self.check_size(origin, kind.size)?;
-        let conversion = match kind.color {
-            ColorType::Rgba8 => "its alpha is dropped",
-            ColorType::L8 => "grey is used for all three colours",
-            ColorType::La8 => "grey is used for all three colours, its alpha is dropped",
-            _ => return Ok(self),
-        };
-        self.warnings.push(format!(
-            "{}: {}; {conversion}",
-            path.display(),
-            decode::describe(kind)
-        ));
-        Ok(self)
+        }
+        first_error.map_or(Ok(self), Err)
     }
 }
 
@@ -401,7 +425,10 @@ fn pair_up(
         parse_list(&source.locate(name), &bytes, options.strict, warnings)
     };
     let colour = read_list("rgb.txt")?;
-    let depth = read_list("depth.txt")?;
+    let mut depth = read_list("depth.txt")?;
+    for entry in &mut depth {
+        entry.t_s += options.depth_offset_s;
+    }
     let times = |list: &[Entry]| -> Vec<f64> { list.iter().map(|entry| entry.t_s).collect() };
     let (colour_s, depth_s) = (times(&colour), times(&depth));
     let pairs = associate(&colour_s, &depth_s, options.max_dt_s);
@@ -450,16 +477,30 @@ fn pair_up(
         .collect())
 }
 
+/// The true trajectory. It only judges: without `strict`, what cannot be read is a warning.
 fn read_ground_truth(
     source: &Source,
+    strict: bool,
     warnings: &mut Vec<String>,
 ) -> Result<Option<Vec<StampedPose>>, DatasetError> {
     const FILE: &str = "groundtruth.txt";
-    let Some(bytes) = source.read(FILE)? else {
-        return Ok(None);
-    };
     let path = source.locate(FILE);
-    let poses = parse_trajectory(&path, &bytes)?;
+    let read = source.read(FILE).and_then(|bytes| {
+        let parse = |bytes: Vec<u8>| match strict {
+            true => parse_trajectory(&path, &bytes),
+            false => parse_leniently(&path, &bytes, warnings),
+        };
+        bytes.map(parse).transpose()
+    });
+    let poses = match read {
+        Ok(Some(poses)) => poses,
+        Ok(None) => return Ok(None),
+        Err(error) if strict => return Err(error),
+        Err(error) => {
+            warnings.push(format!("{error}; the path is not judged"));
+            return Ok(None);
+        }
+    };
     if poses.is_empty() {
         warnings.push(format!("{}: holds no pose", path.display()));
         return Ok(None);

@@ -26,6 +26,14 @@ pub enum DatasetError {
         /// What was expected.
         expected: &'static str,
     },
+    /// A folder where a file was expected.
+    #[error("{}: is a folder; expected {expected}", path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// What was expected.
+        expected: &'static str,
+    },
     /// A folder or archive that is not a recording.
     #[error("{}: {found}; expected a TUM or BONN recording, that is a folder with rgb.txt and depth.txt, or a .tgz, .tar.gz, .tar or .zip of one", path.display())]
     NotARecording {
@@ -71,7 +79,7 @@ pub enum DatasetError {
         path: PathBuf,
     },
     /// No colour image has a depth image close enough in time.
-    #[error("{}: none of {colour} colour images has one of {depth} depth images within {max_dt_s} s (the closest are {closest_s:.6} s apart)", path.display())]
+    #[error("{}: none of {colour} colour images has one of {depth} depth images within {max_dt_s} s (the closest are {closest_s:.6} s apart); expected lists by one clock, or --max-dt SECONDS, --depth-offset SECONDS", path.display())]
     NoPairs {
         /// The recording.
         path: PathBuf,
@@ -105,7 +113,7 @@ pub enum DatasetError {
         expected: &'static str,
     },
     /// No calibration was found.
-    #[error("{}: camera unknown; expected a calibration file, a preset ({presets}), a camera.txt in the recording, or one of those names in the recording's", path.display())]
+    #[error("{}: camera unknown; expected --calibration FILE, --preset NAME ({presets}), a camera.txt in the recording, or one of those names in the recording's", path.display())]
     NoCalibration {
         /// The recording.
         path: PathBuf,
@@ -229,6 +237,15 @@ fn frame_prefix(frame: Option<usize>) -> String {
 }
 
 impl DatasetError {
+    /// Nothing at `path` that could be opened as a file.
+    pub(crate) fn not_found(path: &Path, expected: &'static str) -> Self {
+        let path = path.to_path_buf();
+        match path.is_dir() {
+            true => Self::Folder { path, expected },
+            false => Self::NotFound { path, expected },
+        }
+    }
+
     /// `map_err(DatasetError::io(path))`.
     pub(crate) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_path_buf();

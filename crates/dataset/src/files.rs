@@ -46,15 +46,20 @@ pub(crate) fn check_file_size(bytes: u64, path: &Path) -> Result<(), DatasetErro
     Ok(())
 }
 
-/// The relative path `name` without empty and `.` parts; `None` if it contains `..`, is absolute, empty,
-/// or contains characters that are special on another system (`\`, `:`, controls).
+/// What [`clean_name`] takes, for messages.
+pub(crate) const CLEAN_NAME: &str = "a relative path without `..` and `:`";
+
+/// The relative path `name`, separated by `/`, without empty and `.` parts; `\`, as Windows writes it, separates,
+/// too. `None` if it contains `..`, is absolute, empty, or contains characters that are special on another system
+/// (`:`, controls).
 pub(crate) fn clean_name(name: &str) -> Option<String> {
-    let odd = |c: char| c == '\\' || c == ':' || c.is_control();
-    if name.starts_with('/') || name.contains(odd) {
+    let odd = |c: char| c == ':' || c.is_control();
+    let separators = ['/', '\\'];
+    if name.starts_with(separators) || name.contains(odd) {
         return None;
     }
     let parts: Vec<&str> = name
-        .split('/')
+        .split(separators)
         .filter(|part| !part.is_empty() && *part != ".")
         .collect();
     (!parts.is_empty() && !parts.contains(&"..")).then(|| parts.join("/"))
@@ -72,6 +77,11 @@ mod tests {
             Some("a..b/..."),
             "just dots"
         );
+        assert_eq!(
+            clean_name("rgb\\.\\1.png").as_deref(),
+            Some("rgb/1.png"),
+            "from Windows"
+        );
         for bad in [
             "",
             ".",
@@ -81,8 +91,11 @@ mod tests {
             "a/..",
             "../a",
             "a/../../b",
-            "a\\b",
+            "\\a",
+            "\\\\server\\a",
+            "a\\..\\..\\b",
             "C:a",
+            "C:\\a",
             "a\0",
         ] {
             assert_eq!(clean_name(bad), None, "{bad:?}");

@@ -21,8 +21,8 @@ pub const ARCHIVE_NAME_BYTES: u64 = 64 << 10;
 pub const LIST_LINES: usize = 1_000_000;
 /// Bytes of a line of text.
 pub const LINE_BYTES: usize = 4 << 10;
-/// Gaussians of a map.
-pub const GAUSSIANS: u64 = 2_000_000;
+/// Gaussians of a map: 4 GB at degree 3.
+pub const GAUSSIANS: u64 = 16_000_000;
 /// Bytes of a PLY header.
 pub const PLY_HEADER_BYTES: usize = 64 << 10;
 /// Latest time of a recording, seconds. A larger number is most likely in nanoseconds.

@@ -3,8 +3,13 @@
 use std::path::Path;
 
 use crate::errors::{DatasetError, excerpt};
-use crate::files::clean_name;
+use crate::files::{CLEAN_NAME, clean_name};
 use crate::text::{Place, for_each_line, time_s};
+
+/// If more than this part of a list, and so many images, repeat the time of another one, times are rounded too
+/// coarsely.
+const COARSE: f64 = 0.3;
+const COARSE_IMAGES: usize = 4;
 
 /// One line of a list.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,7 +31,7 @@ pub(crate) struct Entry {
 ///
 /// # Errors
 /// [`DatasetError::Line`] for a line that is not `timestamp filename`,
-/// [`DatasetError::UnsafeName`] for a name that leads outside the recording,
+/// or whose name leads outside the recording, and for times too coarse to tell images apart;
 /// [`DatasetError::EmptyList`].
 pub(crate) fn parse_list(
     path: &Path,
@@ -66,16 +71,22 @@ pub(crate) fn parse_list(
             path.display()
         ));
     }
-    let mut duplicates: Vec<usize> = Vec::new();
+    let (lines, mut duplicates, mut others): (usize, Vec<usize>, usize) =
+        (entries.len(), Vec::new(), 0);
     entries.dedup_by(|later, kept| {
         let same = later.t_s.total_cmp(&kept.t_s).is_eq();
         if same {
             duplicates.push(later.line);
+            others += usize::from(later.file != kept.file);
         }
         same
     });
     if let Some(&line) = duplicates.iter().min() {
         let place = Place { path, line };
+        if others >= COARSE_IMAGES && others as f64 > COARSE * lines as f64 {
+            let found = format!("{lines} images with {} different times", entries.len());
+            return Err(place.error(found, "times fine enough to tell images apart"));
+        }
         if strict {
             return Err(place.error("the time of an earlier line", "ascending times"));
         }
@@ -94,10 +105,7 @@ fn parse_line(place: Place<'_>, text: &str) -> Result<Entry, DatasetError> {
         return Err(place.error(excerpt(text), "`timestamp filename`"));
     };
     let Some(clean) = clean_name(file) else {
-        return Err(DatasetError::UnsafeName {
-            path: place.path.to_path_buf(),
-            name: file.to_owned(),
-        });
+        return Err(place.error(format!("name {}", excerpt(file)), CLEAN_NAME));
     };
     Ok(Entry {
         t_s: time_s(place, stamp)?,
@@ -161,10 +169,11 @@ mod tests {
             assert!(message.starts_with("rgb.txt:2:"), "{bad}: {message}");
         }
         for bad in ["../a", "/etc/passwd", "a/../../b", "a\\..\\b", "C:/x", "."] {
-            let (list, _) = parse(&format!("1 {bad}\n"), false);
+            let (list, _) = parse(&format!("1 ok\n2 {bad}\n"), false);
+            let message = list.expect_err(bad).to_string();
             assert!(
-                matches!(list, Err(DatasetError::UnsafeName { .. })),
-                "{bad}: {list:?}"
+                message.starts_with("rgb.txt:2: found name") && message.contains("without `..`"),
+                "{bad}: {message}"
             );
         }
         for empty in ["", "# only\n\n"] {
@@ -200,6 +209,25 @@ mod tests {
         assert!(
             refused > 500,
             "damage is noticed, {refused} of 4000 refused"
+        );
+    }
+
+    /// Whole seconds at 3 images a second, against a list that was written twice.
+    #[test]
+    fn times_too_coarse_to_tell_images_apart() {
+        let coarse = "10 a\n10 b\n10 c\n11 d\n11 e\n11 f\n";
+        let message = parse(coarse, false).0.expect_err("coarse").to_string();
+        assert!(
+            message.starts_with("rgb.txt:2: found 6 images with 2 different times"),
+            "{message}"
+        );
+        let twice = "10 a\n11 b\n10 a\n11 b\n";
+        assert_eq!(parse(twice, false).0.expect("dropped").len(), 2, "twice");
+        let one_of_five = "10 a\n11 b\n12 c\n12 d\n13 e\n";
+        assert_eq!(
+            parse(one_of_five, false).0.expect("dropped").len(),
+            4,
+            "20 %"
         );
     }
 }

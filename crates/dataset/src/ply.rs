@@ -16,7 +16,21 @@
 //! Colours of a lower degree are padded with zeros, because some viewers accept only 62 floats.
 //! [`PlyOptions::label`] appends a 63rd property, `uchar label` (0 static, 1 dynamic), for readers that
 //! find properties by name. Landmark, parent and keyframe of a Gaussian are not in the file.
+//!
 
+//! Files of other programs:
+//!
+//! | file | read as |
+//! |---|---|
+//! | numbers of any type, other elements and properties, lists | by name; the others are skipped |
+//! | no `scale_2` or one of -inf (2D Gaussian Splatting); `scale_0` alone | flat; a sphere |
+//! | `red green blue` and no `f_dc` | the same colour from everywhere; bytes are 0 to 255, floats 0 to 1 |
+//! | `opacity` of +-inf | a logit of +-40 |
+//! | quaternions of any finite length but 0 | as they are, those beyond 1e9 or below 1e-9 normalised |
+//! | `packed_position` and so on, as SuperSplat writes it | unpacked |
+
+mod columns;
+mod packed;
 mod read;
 mod write;
 

@@ -13,6 +13,8 @@ use crate::text::{Place, for_each_line, number, time_s};
 
 /// Tolerance of the length of a written quaternion; the four decimals of the TUM files cost 1e-4.
 const QUATERNION_TOLERANCE: f64 = 1e-3;
+/// Lines left out that are named one by one.
+const LINES_NAMED: usize = 3;
 const EXPECTED: &str = "`timestamp tx ty tz qx qy qz qw`, finite numbers";
 
 /// Reads a trajectory file.
@@ -20,10 +22,8 @@ const EXPECTED: &str = "`timestamp tx ty tz qx qy qz qw`, finite numbers";
 /// # Errors
 /// [`DatasetError::NotFound`], and what [`parse_trajectory`] finds.
 pub fn read_trajectory(path: &Path) -> Result<Vec<StampedPose>, DatasetError> {
-    let bytes = read_file(path)?.ok_or_else(|| DatasetError::NotFound {
-        path: path.to_path_buf(),
-        expected: "a trajectory in TUM format",
-    })?;
+    let bytes = read_file(path)?
+        .ok_or_else(|| DatasetError::not_found(path, "a trajectory in TUM format"))?;
     parse_trajectory(path, &bytes)
 }
 
@@ -46,14 +46,50 @@ pub fn read_trajectory(path: &Path) -> Result<Vec<StampedPose>, DatasetError> {
 /// # Ok::<(), garad_dataset::DatasetError>(())
 /// ```
 pub fn parse_trajectory(path: &Path, bytes: &[u8]) -> Result<Vec<StampedPose>, DatasetError> {
+    parse_lines(path, bytes, Err)
+}
+
+/// [`parse_trajectory`], but a line that cannot be used is left out and named in `warnings`.
+///
+/// # Errors
+/// [`DatasetError::Line`] for text that is not UTF-8, [`DatasetError::TooLarge`].
+pub(crate) fn parse_leniently(
+    path: &Path,
+    bytes: &[u8],
+    warnings: &mut Vec<String>,
+) -> Result<Vec<StampedPose>, DatasetError> {
+    let (mut left_out, mut more) = (Vec::new(), 0);
+    let poses = parse_lines(path, bytes, |error| {
+        match left_out.len() < LINES_NAMED {
+            true => left_out.push(format!("{error}; the line is left out")),
+            false => more += 1,
+        }
+        Ok(())
+    })?;
+    warnings.append(&mut left_out);
+    if more > 0 {
+        warnings.push(format!("{}: {more} more lines left out", path.display()));
+    }
+    Ok(poses)
+}
+
+/// Poses in ascending order of time; `bad` decides what becomes of a line that cannot be used.
+fn parse_lines(
+    path: &Path,
+    bytes: &[u8],
+    mut bad: impl FnMut(DatasetError) -> Result<(), DatasetError>,
+) -> Result<Vec<StampedPose>, DatasetError> {
     let mut poses: Vec<StampedPose> = Vec::new();
     for_each_line(path, bytes, |place, text| {
-        let pose = parse_pose(place, text)?;
+        let pose = match parse_pose(place, text) {
+            Ok(pose) => pose,
+            Err(error) => return bad(error),
+        };
         // Written so that NaN is an error.
         let later = poses.last().is_none_or(|last| pose.t_s > last.t_s);
         if !later {
             let found = format!("time {} after one that is not earlier", pose.t_s);
-            return Err(place.error(found, "ascending times"));
+            return bad(place.error(found, "ascending times"));
         }
         poses.push(pose);
         Ok(())
@@ -181,6 +217,22 @@ mod tests {
             );
         }
         assert_eq!(parse("# nothing\n").expect("no pose").len(), 0, "empty");
+    }
+
+    /// A header, a doubled line, a NaN, a line out of order, one that is cut: all left out, three named.
+    #[test]
+    fn leniently_bad_lines_are_left_out() {
+        let text = "time x y z\n1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n2 nan 0 0 0 0 0 1\n\
+                    0.5 0 0 0 0 0 0 1\n3 0 0 0\n4 0 0 2 0 0 0 1\n";
+        let mut warnings = Vec::new();
+        let poses = parse_leniently(Path::new("t.txt"), text.as_bytes(), &mut warnings);
+        let times: Vec<f64> = poses.expect("lines").iter().map(|p| p.t_s).collect();
+        assert_eq!(times, [1.0, 4.0], "what can be used");
+        assert_eq!(warnings.len(), 4, "{warnings:?}");
+        let named = ["t.txt:1: ", "t.txt:3: ", "t.txt:4: ", "t.txt: 2 more lines"];
+        for (warning, start) in warnings.iter().zip(named) {
+            assert!(warning.starts_with(start), "{warning}, expected {start}");
+        }
     }
 
     #[test]

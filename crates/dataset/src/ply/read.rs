@@ -6,10 +6,12 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, ErrorKind, Read};
 use std::path::Path;
 
-use garad_core::{GaussianMap, KeyframeId, Label};
-use serde::de::{Deserialize, Deserializer, IgnoredAny, MapAccess, Visitor};
+use garad_core::GaussianMap;
+use serde::de::{Deserialize, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde_ply::{DeserializeError, ElementDef, PlyReader, PropertyType, RowVisitor, ScalarType};
 
+use super::columns::Columns;
+use super::packed::Packed;
 use crate::errors::{DatasetError, excerpt};
 use crate::limits;
 
@@ -19,24 +21,25 @@ use crate::limits;
 /// [`DatasetError::NotFound`], [`DatasetError::Io`], and those of [`parse_ply`].
 pub fn read_ply(path: &Path) -> Result<GaussianMap<f32>, DatasetError> {
     let file = File::open(path).map_err(|source| match source.kind() {
-        ErrorKind::NotFound => DatasetError::NotFound {
-            path: path.to_path_buf(),
-            expected: "a PLY map",
-        },
+        ErrorKind::NotFound => DatasetError::not_found(path, "a PLY map"),
         _ => DatasetError::io(path)(source),
     })?;
+    if path.is_dir() {
+        return Err(DatasetError::not_found(path, "a PLY map"));
+    }
     parse_ply(path, &mut BufReader::new(file))
 }
 
 /// Reads a map of degree 0 to 3 in ASCII or binary of either byte order; `path` serves the messages.
 ///
-/// Properties are found by name, in any order; unknown ones are ignored. Gaussians come without
-/// landmark and parent, born in keyframe 0, and static unless the file has a `label`.
+/// Properties are found by name, in any order and of any type; unknown ones and other elements are skipped.
+/// Files of other programs: see the [module's table](super). Gaussians come without landmark and parent, born in
+/// keyframe 0, and static unless the file has a `label`.
 ///
 /// # Errors
-/// [`DatasetError::Ply`] for a bad header, a missing property, a vertex with a number that is not
-/// finite, a zero quaternion or an unknown label, and unless the vertices take all the bytes that follow
-/// the header; [`DatasetError::TooLarge`] above [`limits::GAUSSIANS`].
+/// [`DatasetError::Ply`] for a bad header, a missing property, a vertex with a number that cannot be used (named with
+/// its property and value), a zero quaternion or an unknown label, and unless the elements take all the bytes that
+/// follow the header (a last newline aside); [`DatasetError::TooLarge`] above [`limits::GAUSSIANS`].
 /// Memory grows with what has been read, not with what the header promises.
 pub fn parse_ply(path: &Path, reader: &mut impl BufRead) -> Result<GaussianMap<f32>, DatasetError> {
     let (header, ascii) = read_header(path, reader)?;
@@ -45,49 +48,44 @@ pub fn parse_ply(path: &Path, reader: &mut impl BufRead) -> Result<GaussianMap<f
     let mut file = Cursor::new(header).chain(reader).chain(end);
     let mut ply = PlyReader::from_reader(&mut file)
         .map_err(|DeserializeError(e)| error(path, e.to_string(), HEADER))?;
-    let columns = match &ply.header().elem_defs[..] {
-        [vertex] if vertex.name == "vertex" => Columns::find(path, vertex)?,
-        elements => {
-            let names: Vec<&str> = elements.iter().map(|e| e.name.as_str()).collect();
-            let found = format!("elements {}", excerpt(&names.join(" ")));
-            return Err(error(path, found, HEADER));
+    let elements = ply.header().elem_defs.clone();
+    let mut vertices = Vertices::find(path, &elements)?;
+    for element in &elements {
+        let (mut read, mut refused) = (0, None);
+        let mut rows = RowVisitor::new(|Row(values)| {
+            if refused.is_none() {
+                refused = vertices.take(&element.name, read, &values).err();
+                read += usize::from(refused.is_none());
+            }
+        });
+        let outcome = (&mut ply).next_value_seed(&mut rows);
+        let wrong = refused.or_else(|| {
+            let DeserializeError(e) = outcome.err()?;
+            let found = match e.kind() {
+                ErrorKind::UnexpectedEof => "the file ends".to_owned(),
+                _ => e.to_string(),
+            };
+            Some((found, "as many numbers as the header promises"))
+        });
+        if let Some((found, expected)) = wrong {
+            let found = format!("{} {read}: {found}", element.name);
+            return Err(error(path, found, expected));
         }
-    };
-    let mut map = GaussianMap::new(columns.degree);
-    let mut read = 0;
-    let mut refused = None;
-    let mut rows = RowVisitor::new(|Row(values)| {
-        if refused.is_none() {
-            refused = columns.push(&values, &mut map).err();
-            read += usize::from(refused.is_none());
-        }
-    });
-    let outcome = (&mut ply).next_value_seed(&mut rows);
-    let wrong = refused.or_else(|| {
-        let DeserializeError(e) = outcome.err()?;
-        let found = match e.kind() {
-            ErrorKind::UnexpectedEof => "the file ends".to_owned(),
-            _ => e.to_string(),
-        };
-        Some((found, "as many numbers as the header promises"))
-    });
-    if let Some((found, expected)) = wrong {
-        return Err(error(path, format!("vertex {read}: {found}"), expected));
     }
     let mut rest = Vec::new();
     (file.take(limits::LINE_BYTES as u64).read_to_end(&mut rest))
         .map_err(DatasetError::io(path))?;
-    if !rest.iter().all(|byte| ascii && byte.is_ascii_whitespace()) {
-        return Err(error(path, "bytes after the last vertex", "none"));
+    let line_end = matches!(&rest[..], b"\n" | b"\r\n");
+    if !line_end && !rest.iter().all(|byte| ascii && byte.is_ascii_whitespace()) {
+        return Err(error(path, "bytes after the last element", "none"));
     }
-    Ok(map)
+    Ok(vertices.map)
 }
 
 const HEADER: &str = "`format NAME 1.0` with NAME ascii, binary_little_endian or binary_big_endian, \
-                      one `element vertex N`, scalar properties, `end_header`";
-const FLOATS: &str = "the float properties of 3D Gaussian Splatting";
+                      one `element vertex N`, its properties, `end_header`";
 
-fn error(path: &Path, found: impl Into<String>, expected: &'static str) -> DatasetError {
+pub(super) fn error(path: &Path, found: impl Into<String>, expected: &'static str) -> DatasetError {
     DatasetError::Ply {
         path: path.to_path_buf(),
         found: found.into(),
@@ -111,6 +109,9 @@ fn read_header(path: &Path, reader: &mut impl BufRead) -> Result<(Vec<u8>, bool)
         let fields: Vec<&str> = line.split_ascii_whitespace().collect();
         match fields[..] {
             ["ply"] if start == 0 => {}
+            _ if header.starts_with(b"\x1f\x8b") => {
+                return Err(error(path, "a gzip file", "a PLY file, unpacked"));
+            }
             _ if start == 0 => {
                 return Err(error(
                     path,
@@ -127,7 +128,8 @@ fn read_header(path: &Path, reader: &mut impl BufRead) -> Result<(Vec<u8>, bool)
     }
 }
 
-/// The numbers of a vertex in the order of the file. An f64 holds any of PLY's types exactly.
+/// The numbers of a row in the order of the file; NaN for a list, which is skipped. An f64 holds any of PLY's types
+/// exactly.
 struct Row(Vec<f64>);
 
 impl<'de> Deserialize<'de> for Row {
@@ -144,7 +146,8 @@ impl<'de> Deserialize<'de> for Row {
             fn visit_map<A: MapAccess<'de>>(self, mut row: A) -> Result<Row, A::Error> {
                 let mut values = Vec::new();
                 while row.next_key::<IgnoredAny>()?.is_some() {
-                    values.push(row.next_value()?);
+                    let Cell(value) = row.next_value()?;
+                    values.push(value);
                 }
                 Ok(Row(values))
             }
@@ -153,139 +156,116 @@ impl<'de> Deserialize<'de> for Row {
     }
 }
 
-/// Positions of the numbers of a Gaussian in a [`Row`].
-struct Columns {
-    degree: usize,
-    mean: [usize; 3],
-    dc: [usize; 3],
-    /// Red, then green, then blue.
-    rest: Vec<usize>,
-    opacity: usize,
-    scale: [usize; 3],
-    rotation: [usize; 4],
-    label: Option<usize>,
+struct Cell(f64);
+
+impl<'de> Deserialize<'de> for Cell {
+    fn deserialize<D: Deserializer<'de>>(cell: D) -> Result<Self, D::Error> {
+        struct Value;
+
+        impl<'de> Visitor<'de> for Value {
+            type Value = Cell;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a number or a list")
+            }
+
+            fn visit_f64<E>(self, value: f64) -> Result<Cell, E> {
+                Ok(Cell(value))
+            }
+
+            fn visit_i64<E>(self, value: i64) -> Result<Cell, E> {
+                Ok(Cell(value as f64)) // of 32 bits at most
+            }
+
+            fn visit_u64<E>(self, value: u64) -> Result<Cell, E> {
+                Ok(Cell(value as f64)) // of 32 bits at most
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Cell, A::Error> {
+                while list.next_element::<IgnoredAny>()?.is_some() {}
+                Ok(Cell(f64::NAN))
+            }
+        }
+        cell.deserialize_any(Value)
+    }
 }
 
-impl Columns {
-    fn find(path: &Path, vertex: &ElementDef) -> Result<Self, DatasetError> {
-        let count = vertex.count as u64;
-        if count > limits::GAUSSIANS {
-            return Err(DatasetError::TooLarge {
-                path: path.to_path_buf(),
-                what: "number of Gaussians",
-                value: count,
-                limit: limits::GAUSSIANS,
+/// What was found, and what was expected.
+pub(super) type Refused = (String, &'static str);
+
+/// The Gaussians of a file, as its elements are read.
+struct Vertices {
+    layout: Layout,
+    map: GaussianMap<f32>,
+}
+
+/// How the file holds them.
+enum Layout {
+    Plain(Box<Columns>),
+    Packed(Packed),
+}
+
+impl Vertices {
+    fn find(path: &Path, elements: &[ElementDef]) -> Result<Self, DatasetError> {
+        for element in elements {
+            if element.count as u64 > limits::GAUSSIANS {
+                return Err(DatasetError::TooLarge {
+                    path: path.to_path_buf(),
+                    what: "number of Gaussians",
+                    value: element.count as u64,
+                    limit: limits::GAUSSIANS,
+                });
+            }
+            if element.properties.is_empty() && element.count > 0 {
+                let found = format!("element {} without properties", excerpt(&element.name));
+                return Err(error(path, found, HEADER));
+            }
+        }
+        let mut vertices = elements.iter().filter(|e| e.name == "vertex");
+        let (Some(vertex), None) = (vertices.next(), vertices.next()) else {
+            let names: Vec<&str> = elements.iter().map(|e| e.name.as_str()).collect();
+            let found = format!("elements {}", excerpt(&names.join(" ")));
+            return Err(error(path, found, HEADER));
+        };
+        let columns = names(path, vertex)?;
+        if columns.contains_key("packed_position") {
+            let packed = Packed::find(path, elements)?;
+            return Ok(Self {
+                map: GaussianMap::new(packed.degree()),
+                layout: Layout::Packed(packed),
             });
         }
-        let mut columns = BTreeMap::new();
-        for (i, property) in vertex.properties.iter().enumerate() {
-            let name = property.name.as_str();
-            let PropertyType::Scalar(kind) = property.property_type else {
-                return Err(error(
-                    path,
-                    format!("list {name}"),
-                    "properties of a scalar type",
-                ));
-            };
-            if columns.insert(name, (i, kind)).is_some() {
-                return Err(error(
-                    path,
-                    format!("two properties {name}"),
-                    "each property once",
-                ));
-            }
-        }
-        let float = |name: &str| match columns.get(name) {
-            Some(&(i, ScalarType::F32)) => Ok(i),
-            Some(_) => Err(error(
-                path,
-                format!("property {name} of another type"),
-                FLOATS,
-            )),
-            None => Err(error(path, format!("no property {name}"), FLOATS)),
-        };
-        let rest_count = columns
-            .keys()
-            .filter(|name| name.starts_with("f_rest_"))
-            .count();
-        let degree = match rest_count {
-            0 => 0,
-            9 => 1,
-            24 => 2,
-            45 => 3,
-            n => {
-                let found = format!("{n} properties f_rest");
-                return Err(error(path, found, "0, 9, 24 or 45 (degree 0 to 3)"));
-            }
-        };
-        let label = match columns.get("label") {
-            None => None,
-            Some(&(i, ScalarType::U8 | ScalarType::F32)) => Some(i),
-            Some(_) => {
-                return Err(error(
-                    path,
-                    "property label of another type",
-                    "uchar or float",
-                ));
-            }
-        };
-        let rest = (0..rest_count).map(|i| float(&format!("f_rest_{i}")));
+        let columns = Columns::find(path, &columns)?;
         Ok(Self {
-            degree,
-            mean: [float("x")?, float("y")?, float("z")?],
-            dc: [float("f_dc_0")?, float("f_dc_1")?, float("f_dc_2")?],
-            rest: rest.collect::<Result<_, _>>()?,
-            opacity: float("opacity")?,
-            scale: [float("scale_0")?, float("scale_1")?, float("scale_2")?],
-            rotation: [
-                float("rot_0")?,
-                float("rot_1")?,
-                float("rot_2")?,
-                float("rot_3")?,
-            ],
-            label,
+            map: GaussianMap::new(columns.degree()),
+            layout: Layout::Plain(Box::new(columns)),
         })
     }
 
-    /// Appends the Gaussian of one vertex, or returns what was found and expected.
-    fn push(
-        &self,
-        values: &[f64],
-        map: &mut GaussianMap<f32>,
-    ) -> Result<(), (String, &'static str)> {
-        #[allow(clippy::cast_possible_truncation, reason = "read as f32")]
-        let float = |at: usize| values[at] as f32;
-        let quaternion = self.rotation.map(float);
-        if quaternion.iter().all(|v| v.abs() <= 0.0) {
-            return Err(("a zero quaternion".to_owned(), "a rotation"));
+    /// Takes row `index` of an element; rows of unknown elements are skipped.
+    fn take(&mut self, element: &str, index: usize, values: &[f64]) -> Result<(), Refused> {
+        match &mut self.layout {
+            Layout::Plain(columns) if element == "vertex" => columns.push(values, &mut self.map),
+            Layout::Packed(packed) => packed.take(element, index, values, &mut self.map),
+            Layout::Plain(_) => Ok(()),
         }
-        let per_channel = self.rest.len() / 3;
-        let higher = (0..per_channel).map(|k| [0, 1, 2].map(|c| self.rest[c * per_channel + k]));
-        let mut sh = vec![self.dc.map(float)];
-        sh.extend(higher.map(|triple| triple.map(float)));
-        let (mean, scale) = (self.mean.map(float), self.scale.map(float));
-        let opacity = float(self.opacity);
-        let geometry = [&mean[..], &scale, &quaternion, &[opacity]];
-        let numbers = geometry.into_iter().flatten().chain(sh.as_flattened());
-        if !numbers.copied().all(f32::is_finite) {
-            let found = "a number that is not finite".to_owned();
-            return Err((found, "finite numbers"));
-        }
-        #[allow(clippy::float_cmp, reason = "labels are exactly 0 or 1")]
-        let label = match self.label.map_or(0.0, float) {
-            0.0 => Label::Static,
-            1.0 => Label::Dynamic,
-            other => return Err((format!("label {other}"), "0 (static) or 1 (dynamic)")),
-        };
-        map.means.push(mean);
-        map.sh.extend(sh);
-        map.log_scales.push(scale);
-        map.quaternions.push(quaternion);
-        map.opacity_logits.push(opacity);
-        map.landmark.push(None);
-        map.parent.push(None);
-        map.born.push(KeyframeId(0));
-        map.label.push(label);
-        Ok(())
     }
+}
+
+/// Position and type of each property of an element; lists have none.
+pub(super) type Names<'a> = BTreeMap<&'a str, (usize, Option<ScalarType>)>;
+
+pub(super) fn names<'a>(path: &Path, element: &'a ElementDef) -> Result<Names<'a>, DatasetError> {
+    let mut names = BTreeMap::new();
+    for (i, property) in element.properties.iter().enumerate() {
+        let kind = match property.property_type {
+            PropertyType::Scalar(kind) => Some(kind),
+            PropertyType::List { .. } => None,
+        };
+        if names.insert(property.name.as_str(), (i, kind)).is_some() {
+            let found = format!("two properties {}", property.name);
+            return Err(error(path, found, "each property once"));
+        }
+    }
+    Ok(names)
 }

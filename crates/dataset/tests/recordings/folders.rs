@@ -62,7 +62,7 @@ fn text_from_other_systems_is_accepted() {
 
 #[test]
 fn bad_lists_are_reported() {
-    let cases: [(&str, &[u8], &str); 12] = [
+    let cases: [(&str, &[u8], &str); 11] = [
         ("rgb.txt", b"", "lists no image"),
         ("depth.txt", b"# nothing\n", "lists no image"),
         ("rgb.txt", b"1.0 a.png\n1.1\n", "rgb.txt:2:"),
@@ -72,16 +72,11 @@ fn bad_lists_are_reported() {
         ("depth.txt", b"1305031453359684000 a.png\n", "seconds"),
         ("rgb.txt", b"1.0 \xFF\xFE.png\n", "UTF-8"),
         ("rgb.txt", b"1.0 ../../etc/passwd\n", "`..`"),
-        ("rgb.txt", b"1.0 /etc/passwd\n", "refused"),
+        ("rgb.txt", b"1.0 /etc/passwd\n", "a relative path"),
         (
             "depth.txt",
             b"1.045 a.png\n1.155 b.png\n",
             "0.045000 s apart",
-        ),
-        (
-            "groundtruth.txt",
-            b"1 0 0 0 0 0 0 2\n",
-            "groundtruth.txt:1:",
         ),
     ];
     for (file, bytes, expected) in cases {
@@ -89,6 +84,40 @@ fn bad_lists_are_reported() {
         recording.write(file, bytes);
         let message = recording.error_of(0);
         assert!(message.contains(expected), "{expected}: {message}");
+    }
+}
+
+/// What only judges does not stop the work, unless it shall.
+#[test]
+fn a_bad_ground_truth_is_a_warning() {
+    let cases: [(&[u8], usize, &str); 4] = [
+        (
+            b"1 0 0 0 0 0 0 2\n2 0 0 0 0 0 0 1\n",
+            1,
+            "groundtruth.txt:1:",
+        ),
+        (
+            b"1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n",
+            1,
+            "groundtruth.txt:2:",
+        ),
+        (b"time tx ty tz\n", 0, "groundtruth.txt:1:"),
+        (b"1 \xFF\n", 0, "the path is not judged"),
+    ];
+    let strict = OpenOptions {
+        strict: true,
+        ..OpenOptions::default()
+    };
+    for (bytes, poses, expected) in cases {
+        let recording = Recording::new(2);
+        recording.write("groundtruth.txt", bytes);
+        let dataset = recording.open().expect("runs");
+        let found = dataset.ground_truth().map_or(0, <[_]>::len);
+        assert_eq!(found, poses, "{expected}");
+        let warning = &dataset.warnings()[0];
+        assert!(warning.contains(expected), "{expected}: {warning}");
+        let error = Dataset::open(recording.path(), &strict).expect_err("strict");
+        assert!(error.to_string().contains("groundtruth.txt:"), "{error}");
     }
 }
 
