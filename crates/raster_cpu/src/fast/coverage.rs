@@ -4,7 +4,7 @@ use garad_core::{Camera, GaussianMap, Image, Par, Se3};
 use wide::f32x8;
 
 use super::bin::Bands;
-use super::tiles::{TILE_PX, blend_band, can_serve, project_sorted, put, rows_of};
+use super::tiles::{TILE_PX, blend_band, can_serve, put, rows_of, splats_sorted};
 use crate::error::RasterError;
 use crate::options::RenderOptions;
 use crate::validate::check_scene;
@@ -42,7 +42,7 @@ pub fn coverage(
     }
     check_scene(map, camera, camera_from_world, &options)?;
     let view = View::new(camera, camera_from_world);
-    let (_, splats) = project_sorted(map, &view, options.include, par);
+    let splats = splats_sorted(map, &view, options.include, par);
     let [width, height] = view.size;
     let bands = Bands::new(&splats, height.div_ceil(TILE_PX));
     let mut opacity = Image::new(width, height, 0.0);

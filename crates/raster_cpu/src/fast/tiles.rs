@@ -24,17 +24,13 @@ pub(super) fn can_serve(map: &GaussianMap<f32>, options: &RenderOptions) -> bool
     options.tile_px == TILE_PX && map.len() < MAX_SPLATS
 }
 
-/// The visible splats front to back, as the reference sorts them, and what the pixels read of
-/// them.
-pub(super) fn project_sorted(
+/// The visible splats in places of their own, and the numbers of these front to back, as the reference sorts them.
+fn project_places(
     map: &GaussianMap<f32>,
     view: &View<f32>,
     include: Include,
     par: Par,
-) -> (Vec<Projected<f32>>, Vec<Splat>) {
-    // What stays is given room before what goes, so that no hole is left between.
-    let mut projected = Vec::with_capacity(map.len());
-    let mut splats = Vec::with_capacity(map.len());
+) -> (Vec<Projected<f32>>, Vec<u32>) {
     // Every chunk has places of its own, of which it fills the first.
     let mut places = vec![Projected::ZERO; map.len()];
     let mut filled: Vec<_> = places.chunks_mut(CHUNK).map(|chunk| (0, chunk)).collect();
@@ -55,6 +51,37 @@ pub(super) fn project_sorted(
         keys.zip(first..)
     });
     let order = sorted(numbered.collect());
+    (places, order)
+}
+
+/// What the pixels read of the visible splats, front to back.
+pub(super) fn splats_sorted(
+    map: &GaussianMap<f32>,
+    view: &View<f32>,
+    include: Include,
+    par: Par,
+) -> Vec<Splat> {
+    let (places, order) = project_places(map, view, include, par);
+    let mut splats = vec![Splat::default(); order.len()];
+    par.for_each_chunk_mut(&mut splats, CHUNK, |chunk, splats| {
+        for (splat, &number) in splats.iter_mut().zip(&order[chunk * CHUNK..]) {
+            *splat = Splat::new(&places[number as usize]);
+        }
+    });
+    splats
+}
+
+/// The visible splats front to back, and what the pixels read of them.
+pub(super) fn project_sorted(
+    map: &GaussianMap<f32>,
+    view: &View<f32>,
+    include: Include,
+    par: Par,
+) -> (Vec<Projected<f32>>, Vec<Splat>) {
+    // What stays is given room before what goes, so that no hole is left between.
+    let mut projected = Vec::with_capacity(map.len());
+    let mut splats = Vec::with_capacity(map.len());
+    let (places, order) = project_places(map, view, include, par);
     projected.resize(order.len(), Projected::ZERO);
     splats.resize(order.len(), Splat::default());
     let pieces = projected.chunks_mut(CHUNK).zip(splats.chunks_mut(CHUNK));
