@@ -147,10 +147,10 @@ fn gaussian_mask(criterion: &mut Criterion) {
         dynamic
     };
     let dynamic = select();
-    let (pose, options) = (Se3::default(), RenderOptions::default());
+    let pose = Se3::default();
     let draw = |map: &GaussianMap<f32>, level: usize| {
         let camera = camera.level(level);
-        fast::render(black_box(map), &camera, &pose, &options, Par::Seq).expect("a picture")
+        fast::coverage(black_box(map), &camera, &pose, Par::Seq).expect("a picture")
     };
     let (level, empty) = (|level| draw(&dynamic, level), GaussianMap::new(0));
     let mut group = criterion.benchmark_group("raster/mask");

@@ -5,6 +5,9 @@ use std::path::Path;
 use anyhow::{Context, Result, anyhow};
 use garad_slam::Config;
 use garad_slam::config::RENAMED_KEYS;
+use serde::Deserialize;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
 
 /// Some keys of a configuration, as TOML.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -42,55 +45,61 @@ pub fn layered(layers: &[Layer]) -> Result<Config> {
 }
 
 /// `below`, overridden by the keys of a layer at any depth. Serde alone would fill a nested table with that
-/// table's own defaults instead of those below.
+/// table's own defaults instead of those below, or miss what it does not name.
 fn overridden(below: &Config, layer: &Layer) -> Result<Config> {
     let Layer { name, text } = layer;
-    let merge = || -> Option<Config> {
-        let mut config = toml::Table::try_from(below).ok()?;
-        let mut given = text.parse().ok()?;
+    let below = write(below)?;
+    let read = || -> Result<Config, toml::de::Error> {
+        let mut given = DeTable::parse(text)?;
         for (old, new) in RENAMED_KEYS {
-            rename(&mut given, old, new);
+            rename(given.get_mut(), old, new);
         }
-        override_table(&mut config, given);
-        config.try_into().ok()
+        fill(given.get_mut(), DeTable::parse(&below)?.into_inner());
+        Config::deserialize(toml::Deserializer::from(given))
     };
-    match merge() {
-        Some(config) => Ok(config),
-        // Invalid: only parsing the text itself tells the line.
-        None => toml::from_str(text).map_err(|error: toml::de::Error| {
-            let line = line_of(text, error.span().map_or(0, |span| span.start));
-            anyhow!("{name}:{line}: {}", error.message())
-        }),
-    }
+    // Only what is given can be wrong, so a span is one of the text.
+    read().map_err(|error| {
+        let line = line_of(text, error.span().map_or(0, |span| span.start));
+        anyhow!("{name}:{line}: {}", error.message())
+    })
 }
 
 /// Moves a value to its key of today, unless that is given, too.
-fn rename(given: &mut toml::Table, old: &str, new: &str) {
+fn rename(given: &mut DeTable<'_>, old: &str, new: &'static str) {
     let (table, old_key) = old.rsplit_once('.').unwrap_or(("", old));
     let new_key = new.rsplit_once('.').map_or(new, |(_, key)| key);
-    let tables = table.split('.').filter(|key| !key.is_empty());
-    let table = tables
-        .into_iter()
-        .try_fold(given, |table, key| table.get_mut(key)?.as_table_mut());
+    let mut tables = table.split('.').filter(|key| !key.is_empty());
+    let table = tables.try_fold(given, |table, key| as_table(table.get_mut(key)?));
     let Some(table) = table.filter(|table| !table.contains_key(new_key)) else {
         return;
     };
-    if let Some(value) = table.remove(old_key) {
+    if let Some((key, value)) = table.remove_entry(old_key) {
         tracing::warn!(
             "the configuration key {old} is {new} since 0.2.0; the old name is read for one version more"
         );
-        table.insert(new_key.to_owned(), value);
+        table.insert(Spanned::new(key.span(), new_key.into()), value);
     }
 }
 
-fn override_table(base: &mut toml::Table, given: toml::Table) {
-    for (key, value) in given {
-        match (base.get_mut(&key), value) {
-            (Some(toml::Value::Table(base)), toml::Value::Table(given)) => {
-                override_table(base, given)
+fn as_table<'t, 'i>(value: &'t mut Spanned<DeValue<'i>>) -> Option<&'t mut DeTable<'i>> {
+    match value.get_mut() {
+        DeValue::Table(table) => Some(table),
+        _ => None,
+    }
+}
+
+/// Adds what is not given, in every table.
+fn fill<'i>(given: &mut DeTable<'i>, below: DeTable<'i>) {
+    for (key, value) in below {
+        match given.get_mut(key.get_ref().as_ref()) {
+            None => {
+                given.insert(key, value);
             }
-            (_, value) => {
-                base.insert(key, value);
+            Some(given) => {
+                if let (Some(given), DeValue::Table(below)) = (as_table(given), value.into_inner())
+                {
+                    fill(given, below);
+                }
             }
         }
     }
@@ -235,6 +244,29 @@ mod tests {
             let message = format!("{:#}", parse(text).expect_err(text));
             assert!(
                 message.contains(&format!("config.toml:{line}: ")) && !message.contains('\n'),
+                "{text:?}: {message}"
+            );
+        }
+        // Tables given in part, of which one has a mistake: those without defaults of their own, and a renamed one.
+        for (text, line, word) in [
+            (
+                "[crf.unary.depth]\nweight = 4.0\n\n[crf.unary.alpha]\nweight = 2.0\n",
+                4,
+                "alpha",
+            ),
+            ("[crf.unary.depth]\nweight = 4.0\nsigna = 2.0\n", 3, "signa"),
+            (
+                "[crf.unary.depth]\nmean = 1.0\n[flow]\nenabled = 3\n",
+                4,
+                "boolean",
+            ),
+            ("[refine]\nkeyframes = 7\nframs = 1\n", 3, "frams"),
+            ("[seed]\n\nopacity = \"much\"\n", 3, "much"),
+        ] {
+            let message = format!("{:#}", parse(text).expect_err(text));
+            let start = format!("config.toml:{line}: ");
+            assert!(
+                message.contains(&start) && message.contains(word),
                 "{text:?}: {message}"
             );
         }

@@ -1,4 +1,4 @@
-//! Published trajectory errors: Tables I and II of the paper.
+//! Published trajectory errors: Tables I, II and III of the paper.
 
 use garad_eval::{Figures, Row};
 
@@ -71,6 +71,29 @@ pub fn rows(recording: &str) -> Option<Vec<Row>> {
     )
 }
 
+/// Where the averages of [`ablation_rows`] come from.
+pub const ABLATION_SOURCE: &str = "Table III of GARAD-SLAM (arXiv 2502.03228)";
+
+/// Table III: ATE RMSE and STD, metres, the means over the eight sequences of TUM and of BONN. The whole system is
+/// headed "w/o Full" there.
+#[rustfmt::skip]
+const ABLATION: [(&str, [[f64; 2]; 2]); 4] = [
+    ("GARAD-SLAM", [[0.0194, 0.0114], [0.0267, 0.0122]]),
+    ("w/o CRF", [[0.3418, 0.1759], [0.6287, 0.3183]]),
+    ("w/o Flow", [[0.0232, 0.0154], [0.0306, 0.0156]]),
+    ("w/o Mapping", [[0.0212, 0.0125], [0.0274, 0.0127]]),
+];
+
+/// The published averages of the whole system and of it without each part.
+#[must_use]
+pub fn ablation_rows() -> Vec<Row> {
+    let of_part = |(name, figures): (&'static str, [[f64; 2]; 2])| {
+        let recordings = ["TUM", "BONN"].into_iter().zip(figures);
+        recordings.map(move |(of, ate)| row(&format!("{name}, mean of {of}"), ate))
+    };
+    ABLATION.into_iter().flat_map(of_part).collect()
+}
+
 /// Whether a name is that of the sequence, with numbers behind it or none.
 fn is_or_is_part_of(name: &str, sequence: &str) -> bool {
     let rest = name.strip_prefix(sequence);
@@ -124,6 +147,27 @@ mod tests {
         ] {
             assert_eq!(rows(other), None, "{other}");
         }
+    }
+
+    /// Table III against Tables I and II: the whole system has their means, without the field it is Photo-SLAM.
+    #[test]
+    fn the_ablation_has_the_means_of_the_other_tables() {
+        let rows = ablation_rows();
+        assert_eq!(rows.len(), 8, "{rows:?}");
+        let mean = |table: &[Sequence], system: usize, k: usize| {
+            table.iter().map(|(_, f)| f[system][k]).sum::<f64>() / 8.0
+        };
+        let rmse = |i: usize| rows[i].figures.ate_rmse_m.expect("published");
+        for (i, name, of_tables) in [
+            (0, "GARAD-SLAM, mean of TUM", mean(&TUM, 5, 0)),
+            (1, "GARAD-SLAM, mean of BONN", mean(&BONN, 5, 0)),
+            (2, "w/o CRF, mean of TUM", mean(&TUM, 1, 0)),
+        ] {
+            assert_eq!(rows[i].name, name, "row {i}");
+            assert!((rmse(i) - of_tables).abs() < 2e-4, "{name}: {of_tables}");
+        }
+        let std_m = rows[7].figures.ate_std_m;
+        assert_eq!((rmse(7), std_m), (0.0274, Some(0.0127)), "{:?}", rows[7]);
     }
 
     /// The averages below the paper's tables, which count a failure as 0.

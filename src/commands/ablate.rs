@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
+use garad::published;
 
 use super::input::InputArgs;
 use super::variants::{Table, Variant, compare};
@@ -58,11 +59,18 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     variants.extend(without);
     let table = Table {
         stem: "ablation",
-        published: Vec::new(),
-        notes: vec![format!(
-            "Profile: {}.",
-            profile.map_or("default", |profile| profile.name)
-        )],
+        published: published::ablation_rows(),
+        notes: vec![
+            format!(
+                "Profile: {}.",
+                profile.map_or("default", |profile| profile.name)
+            ),
+            format!(
+                "Published: {}, eight whole recordings each; the other rows: {}.",
+                published::ABLATION_SOURCE,
+                args.input.part(&dataset)
+            ),
+        ],
     };
     compare(&dataset, &variants, table, &out)
 }

@@ -8,8 +8,9 @@ use garad_core::RgbImage;
 use garad_eval::report::{PictureRow, comparison_html};
 use garad_eval::{Comparison, Figures, Row};
 
+use super::files::write_text;
+use super::judged::Judged;
 use super::moments::Moment;
-use super::{Judged, write_text};
 use crate::reason::reason;
 use crate::run::RunResult;
 

@@ -13,19 +13,22 @@
 //! | `config.toml` | every number as used |
 
 mod comparison;
+mod files;
 mod judged;
 mod moments;
 mod tables;
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use garad_core::Label;
 use garad_dataset::{PlyOptions, write_bytes_atomically, write_ply, write_trajectory};
 use garad_eval::report::{FrameState, ReportData};
 use garad_slam::TrackingState;
 
 pub use self::comparison::{Compared, write_comparison};
+pub use self::files::make_folder;
+use self::files::write_text;
 pub use self::judged::{Judged, Truth};
 use self::moments::Moment;
 use crate::images;
@@ -64,19 +67,6 @@ pub fn write(out: &Path, result: &RunResult, judged: &Judged, warnings: &[String
     write_text(&out.join("report.html"), &report)?;
     map_written?;
     Ok(())
-}
-
-/// Makes a folder for results, with those above it.
-///
-/// # Errors
-/// The path, and why not.
-pub fn make_folder(path: &Path) -> Result<()> {
-    std::fs::create_dir_all(path)
-        .with_context(|| format!("{}: cannot make the folder", path.display()))
-}
-
-fn write_text(path: &Path, text: &str) -> Result<()> {
-    Ok(write_bytes_atomically(path, text.as_bytes())?)
 }
 
 /// The labels of every labelled frame; no folder if there is none.

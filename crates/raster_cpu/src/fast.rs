@@ -6,7 +6,7 @@
 //!
 //! ```text
 //! depth keys ─ radix sort ─→ project ─→ Splat, 1 cache line ─→ Bands ─→ TilePixels ─→ images
-//!   fast/bin                              fast/splat             bin      forward, lanes
+//!   fast/bin                              fast/splat             bin   tiles, forward, lanes
 //! ```
 //!
 //! What makes it fast: the ellipse outside which alpha < 1/255 is solved for all rows of a tile
@@ -15,10 +15,12 @@
 
 mod backward;
 mod bin;
+mod coverage;
 mod forward;
 mod gather;
 mod lanes;
 mod splat;
+mod tiles;
 
 use std::slice::ChunksMut;
 
@@ -27,29 +29,17 @@ use wide::bytemuck::cast;
 use wide::f32x8;
 
 use self::backward::{Rows, Sums, TileBackward};
-use self::bin::{Bands, Columns, Entry, sorted};
-use self::forward::{TilePixels, corner};
+use self::bin::{Bands, Columns, Entry};
+pub use self::coverage::{Coverage, coverage};
+use self::forward::TilePixels;
 use self::splat::{Splat, prepare};
+use self::tiles::{TILE_PX, blend_band, can_serve, project_sorted, put, rows_of};
 use crate::backward::Gradients;
 use crate::error::RasterError;
-use crate::options::{Include, RenderOptions};
-use crate::project::{FOOTPRINT_CELL_PX, project_range};
+use crate::options::RenderOptions;
 use crate::rendered::{Rendered, Upstream};
-use crate::splat::Projected;
 use crate::validate::{check_images, check_scene, check_splats};
 use crate::view::View;
-
-/// Gaussians of one task.
-const CHUNK: usize = 1024;
-/// Tiles here are the footprint's cells, so that a footprint covers a tile or misses it.
-const TILE_PX: usize = FOOTPRINT_CELL_PX;
-/// Ranks are kept as f32 and exact below this.
-const MAX_SPLATS: usize = 1 << 24;
-
-/// Other options and larger maps are left to the reference.
-fn can_serve(map: &GaussianMap<f32>, options: &RenderOptions) -> bool {
-    options.tile_px == TILE_PX && map.len() < MAX_SPLATS
-}
 
 /// [`crate::render()`] in a fraction of the time.
 ///
@@ -203,55 +193,6 @@ pub fn backward(
     gather::to_map(map, &view, &rendered.projected, &total, clamp, par)
 }
 
-/// The visible splats front to back, as the reference sorts them, and what the pixels read of
-/// them.
-fn project_sorted(
-    map: &GaussianMap<f32>,
-    view: &View<f32>,
-    include: Include,
-    par: Par,
-) -> (Vec<Projected<f32>>, Vec<Splat>) {
-    // What stays is given room before what goes, so that no hole is left between.
-    let mut projected = Vec::with_capacity(map.len());
-    let mut splats = Vec::with_capacity(map.len());
-    // Every chunk has places of its own, of which it fills the first.
-    let mut places = vec![Projected::ZERO; map.len()];
-    let mut filled: Vec<_> = places.chunks_mut(CHUNK).map(|chunk| (0, chunk)).collect();
-    par.for_each_chunk_mut(&mut filled, 1, |chunk, filled| {
-        for (count, places) in filled {
-            let first = chunk * CHUNK;
-            let splats = project_range(map, view, include, first..first + places.len());
-            for (place, splat) in places.iter_mut().zip(splats) {
-                *place = splat;
-                *count += 1;
-            }
-        }
-    });
-    // Numbers of places ascend with the rows of the map.
-    let numbered = filled.iter().zip((0u32..).step_by(CHUNK));
-    let numbered = numbered.flat_map(|((count, places), first)| {
-        let keys = places[..*count].iter().map(|s| s.depth_m.to_bits());
-        keys.zip(first..)
-    });
-    let order = sorted(numbered.collect());
-    projected.resize(order.len(), Projected::ZERO);
-    splats.resize(order.len(), Splat::default());
-    let pieces = projected.chunks_mut(CHUNK).zip(splats.chunks_mut(CHUNK));
-    let mut pieces: Vec<_> = pieces.zip(order.chunks(CHUNK)).collect();
-    par.for_each_chunk_mut(&mut pieces, 1, |_, pieces| {
-        for ((projected, splats), order) in pieces {
-            // Copied first, in a loop that waits for many rows at a time.
-            for (projected, &number) in projected.iter_mut().zip(*order) {
-                *projected = places[number as usize];
-            }
-            for (splat, projected) in splats.iter_mut().zip(projected.iter()) {
-                *splat = Splat::new(projected);
-            }
-        }
-    });
-    (projected, splats)
-}
-
 /// One row of tiles in every image.
 #[derive(Debug)]
 struct Stripe<'a> {
@@ -291,26 +232,15 @@ impl<'a> Stripe<'a> {
 
     /// Bins, blends and writes the band's tiles that have splats.
     fn draw(&mut self, splats: &[Splat], list: &[Entry], band: usize, background: [f32; 3]) {
-        let columns = Columns::new(splats, list, self.width.div_ceil(TILE_PX));
-        for column in 0..self.width.div_ceil(TILE_PX) {
-            let entries = columns.list(column);
-            if entries.is_empty() {
-                continue;
-            }
-            let pixels = TilePixels::composite(
-                entries.iter().map(|&place| &columns.splats[place as usize]),
-                [(column * TILE_PX) as f32, (band * TILE_PX) as f32],
-                [self.width - column * TILE_PX, self.color.len() / self.width],
-            );
-            self.write(&pixels, column * TILE_PX, background);
-        }
+        let size = [self.width, self.color.len() / self.width];
+        blend_band::<true>(splats, list, band, size, |pixels, x0| {
+            self.write(pixels, x0, background);
+        });
     }
 
     fn write(&mut self, pixels: &TilePixels, x0: usize, background: [f32; 3]) {
-        let height = self.color.len() / self.width;
+        let size = [self.width, self.color.len() / self.width];
         for (i, block) in pixels.blocks.iter().enumerate() {
-            let (column, row) = corner(i);
-            let x = x0 + column;
             let light = block.transmittance.abs();
             let color = [0, 1, 2].map(|k| block.color[k] + light * f32x8::splat(background[k]));
             let color = color.map(|c| c.to_array());
@@ -320,35 +250,15 @@ impl<'a> Stripe<'a> {
             let contributors = cast::<_, [u32; 8]>(block.contributors);
             // Whole numbers below 2²⁴.
             let last = cast::<_, [u32; 8]>(block.last.fast_trunc_int());
-            for (y, half) in [(row, 0), (row + 1, 4)] {
-                if y >= height || x >= self.width {
-                    continue;
-                }
-                let at = y * self.width + x;
-                let n = (self.width - x).min(4);
-                put(&mut self.transmittance[at..at + n], &t[half..]);
-                put(&mut self.opacity[at..at + n], &opacity[half..]);
-                put(&mut self.depth[at..at + n], &depth[half..]);
-                put(&mut self.contributors[at..at + n], &contributors[half..]);
-                put(&mut self.last[at..at + n], &last[half..]);
+            for (at, half) in rows_of(i, x0, size) {
+                put(&mut self.transmittance[at.clone()], &t[half..]);
+                put(&mut self.opacity[at.clone()], &opacity[half..]);
+                put(&mut self.depth[at.clone()], &depth[half..]);
+                put(&mut self.contributors[at.clone()], &contributors[half..]);
+                put(&mut self.last[at.clone()], &last[half..]);
                 let rgb = |lane: usize| [0, 1, 2].map(|k| color[k][half + lane]);
-                put(
-                    &mut self.color[at..at + n],
-                    &[rgb(0), rgb(1), rgb(2), rgb(3)],
-                );
+                put(&mut self.color[at], &[rgb(0), rgb(1), rgb(2), rgb(3)]);
             }
-        }
-    }
-}
-
-/// Four values, or as many as there is room for.
-#[inline(always)]
-fn put<A: Copy>(out: &mut [A], values: &[A]) {
-    if let (Some(out), Some(values)) = (out.first_chunk_mut::<4>(), values.first_chunk::<4>()) {
-        *out = *values;
-    } else {
-        for (out, value) in out.iter_mut().zip(values) {
-            *out = *value;
         }
     }
 }

@@ -359,3 +359,30 @@ fn fast_refuses_what_the_reference_refuses() {
         "{error}"
     );
 }
+
+/// In images that end within a tile, with and without splats, on one and three threads.
+#[test]
+fn coverage_is_two_images_of_the_render() {
+    let options = RenderOptions::default();
+    let gaussians = map(1, 40).cast::<f32>();
+    let (whole, pose) = (camera(), pose());
+    for (map, camera) in [
+        (&gaussians, whole),
+        (&gaussians, whole.level(1)),
+        (&GaussianMap::new(0), whole),
+    ] {
+        let rendered = fast::render(map, &camera, &pose, &options, Par::Seq).expect("an image");
+        for par in [Par::Seq, Par::Threads(3)] {
+            let covered = fast::coverage(map, &camera, &pose, par).expect("an image");
+            assert!(covered.opacity == rendered.opacity, "opacity, {par:?}");
+            assert!(covered.depth == rendered.depth, "depth, {par:?}");
+        }
+        let seen = rendered.opacity.data().iter().any(|o| *o > 0.1);
+        assert_eq!(seen, !map.is_empty(), "something is drawn");
+    }
+    let mut short = gaussians.clone();
+    short.sh.pop();
+    let reference = render(&short, &whole, &pose, &options, Par::Seq).expect_err("refused");
+    let error = fast::coverage(&short, &whole, &pose, Par::Seq).expect_err("refused");
+    assert_eq!(error, reference, "the same error");
+}

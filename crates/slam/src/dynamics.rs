@@ -83,7 +83,8 @@ pub struct Dynamics {
     dynamic_gaussians: GaussianMap,
     /// Landmarks that the flow check found at rest since the last mapping job.
     restored: BTreeSet<LandmarkId>,
-    centres: CellCentres,
+    /// Where the Gaussian mask is read, if its cells are.
+    centres: Option<CellCentres>,
 }
 
 /// A frame as it is added to the history.
@@ -106,6 +107,8 @@ impl Dynamics {
         let labels = &context.config.labels;
         let restarts =
             labels.enabled && labels.bootstrap_restart && labels.source != LabelSource::Flow;
+        let reads_cells =
+            labels.source.has_gaussians() && labels.gaussian_mask.surface_share <= 0.0;
         Ok(Self {
             lattice: Lattice::new(&context.camera, labels.step_px),
             crf: Crf::new(context.config.crf.clone()).map_err(ConfigError::from)?,
@@ -114,7 +117,7 @@ impl Dynamics {
             future: Vec::new(),
             dynamic_gaussians: GaussianMap::new(0),
             restored: BTreeSet::new(),
-            centres: CellCentres::new(&context.camera),
+            centres: reads_cells.then(|| CellCentres::new(&context.camera)),
         })
     }
 
@@ -152,7 +155,7 @@ impl Dynamics {
                 dynamic: &self.dynamic_gaussians,
                 map,
                 lattice: &self.lattice,
-                centres: &self.centres,
+                centres: self.centres.as_ref(),
                 references: &references,
             };
             label_by_mask(context, view, given, recorder)

@@ -4,7 +4,7 @@ use garad_core::RgbImage;
 use maud::{Markup, html};
 
 use super::images::figure;
-use super::page;
+use super::page::page;
 use crate::comparison::{COLUMNS, Comparison};
 
 /// Pictures of one run; a frame without one is `None`.

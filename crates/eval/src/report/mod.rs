@@ -8,13 +8,15 @@ mod comparison;
 mod data;
 mod figures;
 mod images;
+mod page;
 mod plots;
 mod tables;
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::html;
 
 pub use self::comparison::{PictureRow, comparison_html};
 pub use self::data::{FrameState, ReportData, Strip};
+use self::page::page;
 
 /// The page. The same data give the same text.
 ///
@@ -38,29 +40,6 @@ pub fn html(data: &ReportData<'_>) -> String {
             (tables::details("Configuration as used", data.config_toml))
         },
     )
-}
-
-/// A page with the styles, around its content.
-fn page(title: &str, version: &str, content: &Markup) -> String {
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { (title) " · garad" }
-                style { (PreEscaped(include_str!("style.css"))) }
-            }
-            body {
-                main {
-                    (content)
-                    footer { "garad " (version) " · GARAD-SLAM on the CPU" }
-                }
-            }
-        }
-    };
-    page.into_string()
 }
 
 #[cfg(test)]

@@ -121,8 +121,9 @@ impl TilePixels {
     /// (`x`, `y`).
     ///
     /// Branches of the reference are masks here. A finished pixel keeps its T with the sign
-    /// turned: whatever would be left of it is then below 1e-4, so it never takes again.
-    pub(crate) fn composite<'a>(
+    /// turned: whatever would be left of it is then below 1e-4, so it never takes again. Without `COLOR` only
+    /// transmittance and depth are blended.
+    pub(crate) fn composite<'a, const COLOR: bool>(
         list: impl Iterator<Item = &'a Splat>,
         corner: [f32; 2],
         [width, height]: [usize; 2],
@@ -159,13 +160,15 @@ impl TilePixels {
                 let weight = alpha * t;
                 let take = visible & (t - weight).simd_ge(min_t);
                 let weight = weight & take;
-                for channel in 0..3 {
-                    block.color[channel] += weight * color[channel];
-                }
                 block.depth += weight * depth;
-                // A mask is -1.
-                block.contributors -= cast::<f32x8, i32x8>(take);
-                block.last = block.last.fast_max(rank & take);
+                if COLOR {
+                    for channel in 0..3 {
+                        block.color[channel] += weight * color[channel];
+                    }
+                    // A mask is -1.
+                    block.contributors -= cast::<f32x8, i32x8>(take);
+                    block.last = block.last.fast_max(rank & take);
+                }
                 block.transmittance = (t - weight) | ((visible ^ take) & sign);
             }
         }

@@ -56,7 +56,8 @@ pub struct LabelConfig {
     pub source: LabelSource,
     /// The depth cue of a landmark.
     pub depth_cue: DepthCue,
-    /// Label Gaussians, too. Off: all of them are static, and none is removed by its label.
+    /// Label Gaussians, too. Off: all of them are static, and none is removed by its label; a field over Gaussians
+    /// (`source`) goes on for landmarks and the mask alone.
     pub map: bool,
     /// What decides the label of a tagged Gaussian, with `source = "frames"`.
     pub tagged: TaggedLabels,
@@ -145,7 +146,8 @@ pub struct GaussianMaskConfig {
     /// a Gaussian whose surface has gone it is not. 0: depth is not compared.
     pub depth_m: f64,
     /// A cell is moving if more than this share of the samples of its surface around is in the mask, and its keypoints
-    /// with it. 0: the rendered mask alone decides.
+    /// with it. 0: the rendered mask alone decides, and a block of samples that the flow check finds at rest clears its
+    /// own cells, not those around.
     pub surface_share: f64,
 }
 

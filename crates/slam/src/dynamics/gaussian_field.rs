@@ -46,14 +46,9 @@ pub(crate) fn label_tagged(
     let tagged: Vec<(usize, LandmarkId, &LandmarkCues)> = tagged.collect();
     let nodes: Vec<Node> = tagged
         .iter()
-        .map(|(row, _, seen)| Node {
-            p_world: Vector3::from(map.means[*row].map(f64::from)),
-            uv_px: Some(seen.uv_px),
-            cues: seen.cues,
-            previous: Some(match map.label[*row] {
-                Label::Static => 0.0,
-                Label::Dynamic => 1.0,
-            }),
+        .map(|(row, _, seen)| {
+            let mean_m = Vector3::from(map.means[*row].map(f64::from));
+            seen.node(mean_m, map.label[*row])
         })
         .collect();
     let beliefs = crf

@@ -7,9 +7,11 @@
 //!                                        landmarks restored, and their Gaussians at the next job ←─┘
 //! ```
 
+use std::borrow::Cow;
+
 use garad_core::{Camera, DepthImage, GaussianMap, Label, LandmarkId, MaskImage};
 use garad_features::LkPyramid;
-use garad_raster::{RenderOptions, Rendered, fast};
+use garad_raster::fast::{Coverage, coverage};
 use nalgebra::{Vector2, Vector3};
 
 use super::flow_check::at_rest;
@@ -29,7 +31,7 @@ use crate::trace::Recorder;
 #[derive(Debug)]
 pub(crate) struct GaussianMask<'a> {
     config: &'a GaussianMaskConfig,
-    levels: Vec<Rendered<f32>>,
+    levels: Vec<Coverage>,
 }
 
 impl<'a> GaussianMask<'a> {
@@ -51,16 +53,14 @@ impl<'a> GaussianMask<'a> {
             let measured_m = at.map(|at| f64::from(depth[at])).filter(|z| *z > 0.0);
             measured_m.is_none_or(|z| (z - p_cam.z).abs() < config.depth_m)
         };
-        let mut dynamic = dynamic.clone();
+        let mut dynamic = Cow::Borrowed(dynamic);
         if config.depth_m > 0.0 {
             let keep: Vec<bool> = dynamic.means.iter().map(is_there).collect();
-            dynamic.retain(|i| keep[i]);
+            dynamic.to_mut().retain(|i| keep[i]);
         }
-        let options = RenderOptions::default();
         let level = |level| {
             let camera = context.camera.level(level);
-            let pose = &frame.camera_from_world;
-            fast::render(&dynamic, &camera, pose, &options, context.par)
+            coverage(&dynamic, &camera, &frame.camera_from_world, context.par)
                 .expect("the Gaussians of a map and a finite pose")
         };
         Self {
@@ -143,7 +143,8 @@ pub(crate) struct MaskLabelling<'a> {
     pub(crate) dynamic: &'a GaussianMap,
     pub(crate) map: &'a Map,
     pub(crate) lattice: &'a Lattice,
-    pub(crate) centres: &'a CellCentres,
+    /// Needed unless the mask is carried along surfaces (`surface_share`).
+    pub(crate) centres: Option<&'a CellCentres>,
     pub(crate) references: &'a [ReferenceImage<'a>],
 }
 
@@ -216,7 +217,10 @@ pub(crate) fn label_by_mask(
         }
         cells
     } else {
-        let mut cells = mask.cells(given.centres);
+        let centres = given
+            .centres
+            .expect("given where the rendered mask alone decides");
+        let mut cells = mask.cells(centres);
         let with_depth = (0..blocks.len()).filter(|b| blocks[*b].is_some());
         for (block, _) in with_depth.zip(blocks_rest).filter(|(_, rests)| **rests) {
             given.lattice.clear(&mut cells, block);

@@ -3,7 +3,7 @@
 
 use garad_core::{KeyframeId, Label, LandmarkId};
 use garad_crf::{Crf, Cues, Node};
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::cues::landmark_cues;
@@ -33,6 +33,21 @@ pub struct LandmarkCues {
     pub uv_px: Vector2<f64>,
     /// The cues of eq. 2.
     pub cues: Cues,
+}
+
+impl LandmarkCues {
+    /// Its node of the field, metres, with its label so far.
+    pub(crate) fn node(&self, p_world: Vector3<f64>, label: Label) -> Node {
+        Node {
+            p_world,
+            uv_px: Some(self.uv_px),
+            cues: self.cues,
+            previous: Some(match label {
+                Label::Static => 0.0,
+                Label::Dynamic => 1.0,
+            }),
+        }
+    }
 }
 
 /// The landmarks that a keyframe and its neighbours observe and that project into the keyframe, ascending.
@@ -70,15 +85,7 @@ pub(crate) fn label_landmarks(
     let local = local_cues(context, map, keyframe, history);
     let node = |seen: &LandmarkCues| {
         let landmark = map.landmark(seen.id).expect("cues of landmarks of the map");
-        Node {
-            p_world: landmark.p_world,
-            uv_px: Some(seen.uv_px),
-            cues: seen.cues,
-            previous: Some(match landmark.label() {
-                Label::Static => 0.0,
-                Label::Dynamic => 1.0,
-            }),
-        }
+        seen.node(landmark.p_world, landmark.label())
     };
     let nodes: Vec<Node> = local.iter().map(node).collect();
     let beliefs = crf

@@ -13,7 +13,7 @@ use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use garad_core::{GaussianMap, Label, LandmarkId, Se3};
-use garad_crf::Crf;
+use garad_crf::{Crf, LabelWindow};
 use nalgebra::Vector3;
 
 use super::error::TrainError;
@@ -119,8 +119,7 @@ impl Mapper {
         self.poses.clone_from(&job.poses);
         self.extent_m = extent_m(&self.poses);
         apply_loop_correction(&mut self.gaussians, &job.moved);
-        let labels = &self.context.config.labels;
-        let by_field = labels.map && labels.source.has_gaussians();
+        let by_field = self.context.config.labels.source.has_gaussians();
         let before = self.gaussians.len();
         let (relabelled, inserted, feedback) = match by_field {
             true => self.label_by_field_and_insert(&job, observer),
@@ -185,19 +184,44 @@ impl Mapper {
         self.insert_landmarks(job);
         observer.end(Stage::Insert);
         observer.begin(Stage::Relabel);
+        self.show_labels();
         let (relabelled, voters, feedback) = self.relabel_by_field(job);
+        self.hide_labels();
         self.mask_freed_space(job);
         observer.end(Stage::Relabel);
         observer.begin(Stage::Insert);
         let first = self.gaussians.len();
         let inserted = self.insert_depth_samples(job, first);
         self.label_inserted(job, first, &voters);
+        self.hide_labels();
         observer.end(Stage::Insert);
         (relabelled, inserted, feedback)
     }
 
+    /// With `labels.map` off the Gaussians of the map are all static, and what the field called them is the last run
+    /// of their windows: shown for the field and for the mask alone.
+    fn show_labels(&mut self) {
+        if !self.context.config.labels.map {
+            let windows = self.trainer.windows(&self.gaussians);
+            for (label, window) in self.gaussians.label.iter_mut().zip(windows) {
+                *label = match window.dynamic_runs(1) {
+                    0 => Label::Static,
+                    _ => Label::Dynamic,
+                };
+            }
+        }
+    }
+
+    /// Ends [`Mapper::show_labels`].
+    fn hide_labels(&mut self) {
+        if !self.context.config.labels.map {
+            self.gaussians.label.fill(Label::Static);
+        }
+    }
+
     /// The field over the tagged Gaussians; the vote of those for the others; and the Gaussians that were dynamic
-    /// for a whole window are removed (eq. 7). Restored ones are static before.
+    /// for a whole window are removed (eq. 7), with `labels.map` off from the field and the mask alone. Restored ones
+    /// are static before.
     fn relabel_by_field(
         &mut self,
         job: &MappingJob,
@@ -220,7 +244,7 @@ impl Mapper {
         for voter in &voters {
             labels[voter.row] = Some(voter.label);
         }
-        let (counts, expired) = push_labels(map, windows, &labels, &config.window);
+        let (mut counts, expired) = push_labels(map, windows, &labels, &config.window);
         let tagged = |id, label, removed| TaggedLabel { id, label, removed };
         let restored = restored.iter().flatten();
         let restored = restored.map(|id| tagged(*id, Label::Static, false));
@@ -232,7 +256,13 @@ impl Mapper {
             labels: restored.chain(by_field).collect(),
             ..MapFeedback::default()
         };
-        if counts.removed > 0 {
+        if !config.map {
+            counts.removed = 0;
+            for row in (0..map.len()).filter(|row| expired[*row]) {
+                windows[row] = LabelWindow::default();
+                map.landmark[row] = None;
+            }
+        } else if counts.removed > 0 {
             let keep: Vec<bool> = expired.into_iter().map(|e| !e).collect();
             self.trainer.retain(&mut self.gaussians, &keep);
         }
@@ -274,7 +304,7 @@ impl Mapper {
     }
 
     /// What tracking needs of the map as it is after the job.
-    fn complete_feedback(&self, feedback: &mut MapFeedback) {
+    fn complete_feedback(&mut self, feedback: &mut MapFeedback) {
         let (map, config) = (&self.gaussians, &self.context.config);
         if config.tracking.points == PointSource::Gaussians {
             let tagged = (0..map.len()).filter_map(|row| {
@@ -286,9 +316,12 @@ impl Mapper {
         let renders = config.tracking.method == TrackingMethod::Render;
         feedback.map = renders.then(|| Arc::new(map.clone()));
         if config.labels.source.has_gaussians() {
+            self.show_labels();
+            let map = &self.gaussians;
             let mut dynamic = map.clone();
             dynamic.retain(|row| map.label[row] == Label::Dynamic);
             feedback.dynamic = Some(dynamic);
+            self.hide_labels();
         }
     }
 

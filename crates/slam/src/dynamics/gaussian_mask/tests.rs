@@ -66,7 +66,7 @@ fn frame_labels(
         dynamic,
         map: &world.map,
         lattice: &Lattice::new(&world.context.camera, 16),
-        centres: &CellCentres::new(&world.context.camera),
+        centres: Some(&CellCentres::new(&world.context.camera)),
         references: references.as_slice(),
     };
     label_by_mask(&world.context, view, given, &mut Recorder::default())

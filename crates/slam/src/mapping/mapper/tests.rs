@@ -258,24 +258,43 @@ fn gaussians_inserted_inside_the_mask_are_dynamic_where_the_mask_decides() {
     }
 }
 
+/// The same field, mask and feedback as with labels of the map; the map itself has none, and loses no Gaussian.
 #[test]
-fn with_labels_of_the_map_off_every_gaussian_is_static() {
-    let mut config = by_gaussians();
-    config.labels.map = false;
-    config.labels.spread.enabled = true;
-    config.labels.spread.from_mask = true;
-    let mut mapper = mapper(config);
-    let job = MappingJob {
+fn with_labels_of_the_map_off_the_field_labels_for_the_mask_alone() {
+    let [mut with, mut without] = [true, false].map(|map| {
+        let mut config = by_gaussians();
+        config.labels.map = map;
+        config.labels.spread.enabled = true;
+        config.labels.spread.from_mask = true;
+        mapper(config)
+    });
+    let right = |x, _| if x < 16 { 0 } else { MOVING };
+    let first = MappingJob {
         depth: DepthImage::new(32, 24, 2.0),
-        mask: Some(MaskImage::new(32, 24, MOVING)),
-        cells: Some(MaskImage::new(8, 6, MOVING)),
-        restored: BTreeSet::from([LandmarkId(1)]),
+        mask: Some(MaskImage::from_fn(32, 24, right)),
         ..first_of_two_landmarks()
     };
-    let done = mapper.run(job, &mut Silent);
-    assert!(mapper.gaussians.len() > 2, "those of depth, too");
-    assert!(labels(&mapper).iter().all(|(_, l)| *l == Static), "all");
-    assert_eq!(done.feedback.labels, [], "nothing for landmarks");
-    assert_eq!(handed_back(&done), [], "nothing for the mask");
-    assert_eq!(done.relabelled, Relabelled::default());
+    let [a, b] = [&mut with, &mut without].map(|m| m.run(first.clone(), &mut Silent));
+    assert_eq!(a.feedback, b.feedback, "labels of landmarks, and the mask");
+    assert!(a.dynamic > 20, "of the mask: {a:?}");
+    assert_eq!((b.dynamic, b.inserted), (0, a.inserted), "the map's own");
+    assert_eq!(a.relabelled, b.relabelled, "{a:?}");
+    let rows = without.gaussians.len();
+    assert_eq!(without.gaussians.label, vec![Static; rows], "all");
+
+    // 0 and its like have been dynamic for a whole window.
+    let again = MappingJob {
+        cues: vec![cues(0, 50.0), cues(1, 0.0)],
+        ..without_depth(1, &[0, 1])
+    };
+    let [a, b] = [&mut with, &mut without].map(|m| m.run(again.clone(), &mut Silent));
+    let expected = [given(0, Dynamic, true), given(1, Static, false)];
+    assert_eq!(b.feedback.labels, expected, "0 is told to go");
+    assert_eq!(handed_back(&a), handed_back(&b), "no more in the mask");
+    assert!(a.relabelled.removed > 0, "{a:?}");
+    assert_eq!((b.relabelled.removed, b.inserted), (0, 0), "{b:?}");
+    assert_eq!(without.gaussians.len(), rows, "still in the map");
+    assert_eq!(without.gaussians.label, vec![Static; rows], "all");
+    let tags = labels(&without).into_iter().filter_map(|(tag, _)| tag);
+    assert_eq!(tags.collect::<Vec<_>>(), [1], "0 is no node any more");
 }
