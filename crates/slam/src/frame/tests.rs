@@ -256,9 +256,4 @@ fn a_culled_frame_keeps_its_pose_and_no_feature() {
     );
     assert_eq!(frame.information.links, 9, "information");
     assert!(frame.is_empty() && frame.depth_planes.is_none(), "features");
-    assert_eq!(
-        frame.near(&Vector2::new(20.0, 20.0), 9.0, 0, 7).count(),
-        0,
-        "search"
-    );
 }

@@ -194,7 +194,7 @@ mod tests {
                     .map(|(c, d, n): (usize, isize, usize)| c.saturating_add_signed(-d).min(n - 1));
                 still[(at[0], at[1])] + brighter
             });
-            let pyramid = LkPyramid::new(&image, 1).expect("has pixels");
+            let pyramid = lk_pyramid(&image, &world.context.config).expect("wanted");
             let (context, map, recorder) = (&world.context, &world.map, &mut Recorder::default());
             refine_matches(context, map, &images, &mut now, &pyramid, &wall(), recorder);
             assert_eq!(now.px[1..], before.px[1..], "{what}: not linked");

@@ -81,7 +81,7 @@ impl Scene {
 fn forwards_detail_grows_and_backwards_it_shrinks() {
     let scene = Scene::new();
     let (map, landmarks) = scene.map(&[(3, 0)]);
-    let last = map.keyframe(garad_core::KeyframeId(0));
+    let last = map.keyframe(KeyframeId(0));
     for (forward_m, at_1, at_5) in [
         (0.11, None, Some(landmarks[0])),
         (0.09, None, None),
@@ -114,7 +114,7 @@ fn a_keypoint_that_is_taken_stays_taken() {
         })
         .collect();
     let from_map = |now: &mut Frame| from_local_map(&scene.context, &map, &visible, now);
-    let last = map.keyframe(garad_core::KeyframeId(0));
+    let last = map.keyframe(KeyframeId(0));
     let from_last = |now: &mut Frame| from_last_frame(&scene.context, &map, last, now, 5.0);
     let ways: [&dyn Fn(&mut Frame) -> usize; 2] = [&from_map, &from_last];
     for (way, search) in ["local map", "last frame"].into_iter().zip(ways) {
