@@ -75,7 +75,9 @@ fn stages_of_each_frame() {
         [&tracked[..], &keyframe].concat(),
     ];
     let (textured, blank) = (rgb(&texture()), rgb(&GrayImage::new(160, 120, 90)));
-    let mut slam = slam(config());
+    let mut config = config();
+    (config.subpixel.keyframes, config.depth_planes.keyframes) = (2, 1);
+    let mut slam = slam(config);
     let (mut tracked, mut keyframes) = (0, 0);
     for (k, stages) in (0..).zip(expected) {
         let is_blank = k == 5 || k == 6;
@@ -142,6 +144,51 @@ fn stages_of_each_frame() {
             KeyframeId(keyframes - 1),
             "frame {k}: reference"
         );
+        let expected = slam.tracker.last().expect("tracked").expected.is_some();
+        // Three frames before this one, none of them lost.
+        assert!(
+            becomes || is_blank || expected == (k == 3),
+            "frame {k}: expected: {expected}"
+        );
+    }
+    let images: Vec<_> = slam.images.keyframes().map(|k| k.0).collect();
+    assert_eq!(images, [1, 2], "of the two youngest");
+    let planes = slam
+        .map
+        .keyframes()
+        .iter()
+        .map(|k| k.depth_planes.is_some());
+    assert_eq!(
+        planes.collect::<Vec<_>>(),
+        [false, false, true],
+        "of the youngest"
+    );
+}
+
+/// Free space of every keyframe, and of a frame three frames after the last one kept.
+#[test]
+fn frames_between_keyframes_enter_the_history() {
+    let mask = MaskImage::new(160, 120, 0);
+    let textured = rgb(&texture());
+    let cases: [(&str, bool, Option<&MaskImage>, bool, &[u32]); 4] = [
+        ("as it is", true, None, false, &[0, 3, 6]),
+        ("a finished map", true, None, true, &[0]),
+        ("a mask is given", true, Some(&mask), false, &[0]),
+        ("no labels", false, None, false, &[]),
+    ];
+    for (what, enabled, mask, localising, expected) in cases {
+        let mut config = config();
+        config.keyframes.max_gap = 50;
+        (config.labels.history_gap, config.labels.enabled) = (3, enabled);
+        let mut slam = slam(config);
+        process(&mut slam, 0, &textured, None);
+        slam.localising = localising;
+        for k in 1..8 {
+            let (report, _) = process(&mut slam, k, &textured, mask);
+            assert_eq!(report.state, TrackingState::Tracking, "{what}: frame {k}");
+        }
+        let kept: Vec<_> = slam.dynamics.past.iter().map(|view| view.frame.0).collect();
+        assert_eq!(kept, expected, "{what}");
     }
 }
 

@@ -72,13 +72,21 @@ fn first_pose(
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
     use crate::config::Config;
     use crate::testing::{World, cloud, small_motion, uneven_camera};
 
-    /// The last frame's pose: a turn and a step of some pixels.
+    /// The last frame's pose, far from the origin.
     fn before() -> Se3 {
-        Se3::exp(&[-0.02, 0.04, -0.03, -0.01, 0.015, -0.025].into())
+        Se3::exp(&[0.5, -0.8, 0.6, 0.4, -0.7, 0.9].into())
+    }
+
+    /// What it sees, in the world.
+    fn points() -> Vec<Vector3<f64>> {
+        let world_from_camera = before().inverse();
+        cloud().iter().map(|p| world_from_camera * *p).collect()
     }
 
     /// The camera moved from [`before`] by [`small_motion`]; the last frame was linked to the first
@@ -93,16 +101,16 @@ mod tests {
         ) = (3.0, 40, 36);
         t.reference_min_matches = 25;
         let mut world = World::with_camera(uneven_camera(), config);
-        let mut last = world.see(0, &cloud(), &before());
+        let mut last = world.see(0, &points(), &before());
         last.camera_from_world = before();
-        world.remember(last.clone(), &cloud());
+        world.remember(last.clone(), &points());
         last.landmark = world
             .map
             .keyframe(garad_core::KeyframeId(0))
             .landmark
             .clone();
         last.landmark[linked..].fill(None);
-        let mut now = world.see(1, &cloud(), &(small_motion() * before()));
+        let mut now = world.see(1, &points(), &(small_motion() * before()));
         now.landmark.fill(last.landmark[0]); // left over from another try
         (world, last, now)
     }
@@ -123,6 +131,16 @@ mod tests {
     fn off(frame: &Frame) -> f64 {
         let truth = small_motion() * before();
         (frame.camera_from_world * truth.inverse()).log().norm()
+    }
+
+    /// The two motions do not commute: with the other order, points are some pixels aside.
+    #[test]
+    fn the_motion_is_applied_to_the_last_pose() {
+        let (mut world, last, mut now) = scene(70);
+        world.context.config.tracking.motion_radius_px = 0.25;
+        let tracked = by_motion((world, last.clone(), &mut now), small_motion());
+        assert!(tracked && off(&now) < 1e-4, "{}", off(&now));
+        assert_eq!(now.landmark, last.landmark, "links");
     }
 
     /// x at the depth of a cloud's point moves by 110 px·m / z per metre.
