@@ -69,6 +69,9 @@ pub(crate) fn nearest_pixel(
 mod tests {
     use super::*;
 
+    /// Pixels and their depth.
+    type Changed<'a> = &'a [((usize, usize), f32)];
+
     /// Depth at (2, 1) of 5 x 4 pixels of 2 m, with some changed; at most 5 m, spread at most an eighth.
     #[test]
     fn depth_of_a_keypoint() {
@@ -78,7 +81,7 @@ mod tests {
             ..FeatureConfig::default()
         };
         let nan = f32::NAN;
-        let cases: [(&str, &[((usize, usize), f32)], Option<f64>); 14] = [
+        let cases: [(&str, Changed, Option<f64>); 14] = [
             ("flat", &[], Some(2.0)),
             ("farther by an eighth", &[((3, 2), 2.25)], Some(2.0)),
             ("by more", &[((3, 2), 2.26)], None),

@@ -170,7 +170,7 @@ fn stages_of_each_frame() {
 fn frames_between_keyframes_enter_the_history() {
     let mask = MaskImage::new(160, 120, 0);
     let textured = rgb(&texture());
-    let cases: [(&str, bool, Option<&MaskImage>, bool, &[u32]); 4] = [
+    let cases: [(&str, bool, _, bool, &[u32]); 4] = [
         ("as it is", true, None, false, &[0, 3, 6]),
         ("a finished map", true, None, true, &[0]),
         ("a mask is given", true, Some(&mask), false, &[0]),

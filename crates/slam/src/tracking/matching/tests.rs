@@ -203,7 +203,7 @@ fn windows_of_the_local_map() {
 /// Keypoints as (level, bits that differ); the landmark is expected at level 3.
 #[test]
 fn best_and_second_best_of_the_local_map() {
-    let cases: [(&str, &[(u8, u32)], Option<usize>); 17] = [
+    let cases: [(&str, &[_], Option<usize>); 17] = [
         ("its level", &[(3, 5)], Some(0)),
         ("the level below", &[(2, 5)], Some(0)),
         ("two below", &[(1, 5)], None),
@@ -295,7 +295,7 @@ fn what_turned_otherwise_is_unlinked() {
 /// Bits of a keyframe's landmarks and of the frame's keypoints; at most 15 bits, below half the second.
 #[test]
 fn gates_of_a_keyframe() {
-    let cases: [(&str, &[u32], &[u32], &[Option<u32>]); 7] = [
+    let cases: [(&str, &[u32], &[u32], &[_]); 7] = [
         ("fifteen bits", &[0], &[15], &[Some(0)]),
         ("sixteen", &[0], &[16], &[None]),
         ("half of the second", &[0], &[10, 20], &[None, None]),
