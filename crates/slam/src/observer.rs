@@ -72,3 +72,39 @@ impl Observer for Silent {
     fn begin(&mut self, _: Stage) {}
     fn end(&mut self, _: Stage) {}
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_two_stages_share_a_name() {
+        use Stage::{
+            Handover, Insert, Keyframe, Label, LabelMap, LocalBa, Loop, Orb, Relabel, Relocalise,
+            TrackLocalMap, TrackMotion, TrackRender, Train,
+        };
+        let names = [
+            (Orb, "orb"),
+            (TrackMotion, "track_motion"),
+            (Label, "label"),
+            (TrackLocalMap, "track_local_map"),
+            (TrackRender, "track_render"),
+            (Relocalise, "relocalise"),
+            (Keyframe, "keyframe"),
+            (LabelMap, "label_map"),
+            (LocalBa, "local_ba"),
+            (Loop, "loop"),
+            (Handover, "handover"),
+            (Relabel, "relabel"),
+            (Insert, "insert"),
+            (Train, "train"),
+        ];
+        assert!(
+            names.is_sorted_by_key(|(stage, _)| *stage),
+            "in the order of a frame"
+        );
+        for (stage, name) in names {
+            assert_eq!(stage.name(), name, "{stage:?}");
+        }
+    }
+}

@@ -559,3 +559,6 @@ fn labelled_frame(frame: &Frame, labels: &FrameLabels) -> LabelledFrame {
         cells: labels.cells.clone(),
     }
 }
+
+#[cfg(test)]
+mod tests;

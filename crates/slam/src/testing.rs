@@ -1,9 +1,11 @@
 //! Fixtures of the unit tests: a small camera in front of a wall, and its frames.
 
 use garad_core::{
-    Camera, DepthImage, FrameId, GrayImage, KeyframeId, LandmarkId, MaskImage, Par, Rng,
+    Camera, DepthImage, FrameId, GrayImage, KeyframeId, Label, LandmarkId, MaskImage, Par, Real,
+    Rng, Se3,
 };
 use garad_features::{Descriptor, Keypoint, LkPyramid};
+use nalgebra::{Vector2, Vector3};
 
 use crate::config::Config;
 use crate::context::Context;
@@ -11,6 +13,7 @@ use crate::dynamics::samples::FrameView;
 use crate::dynamics::{Dynamics, NewView};
 use crate::frame::{Frame, Levels};
 use crate::map::Map;
+use crate::observer::{Observer, Stage};
 use crate::trace::Recorder;
 
 /// Distance of the wall, metres.
@@ -66,13 +69,61 @@ impl World {
     }
 
     pub(crate) fn frame_of(&self, id: u32, keypoints: &[Keypoint], depth: &DepthImage) -> Frame {
+        let descriptors = vec![Descriptor::default(); keypoints.len()];
+        self.frame_with(id, keypoints, descriptors, depth)
+    }
+
+    /// The images of points of the world, without depth; the k-th point has a descriptor of its own.
+    pub(crate) fn see(&self, id: u32, points: &[Vector3<f64>], camera_from_world: &Se3) -> Frame {
+        let mut rng = Rng::new(7);
+        let (keypoints, descriptors) = (points.iter())
+            .map(|p| {
+                let uv_px = (self.context.camera).project(&(*camera_from_world * *p));
+                let uv_px = uv_px.expect("in front of the camera");
+                let keypoint = Keypoint {
+                    x: uv_px.x.to_f32(),
+                    y: uv_px.y.to_f32(),
+                    level: 0,
+                    angle_deg: 0.0,
+                    response: 1.0,
+                };
+                (keypoint, Descriptor([(); 4].map(|()| rng.next_u64())))
+            })
+            .collect::<(Vec<_>, Vec<_>)>();
+        self.frame_with(id, &keypoints, descriptors, &DepthImage::new(160, 120, 0.0))
+    }
+
+    /// Adds a keyframe whose k-th keypoint makes a landmark of the k-th point.
+    pub(crate) fn remember(&mut self, frame: Frame, points: &[Vector3<f64>]) -> Vec<LandmarkId> {
+        let (map, scales) = (&mut self.map, &self.context.scales);
+        let id = map.add_keyframe(frame);
+        (points.iter().enumerate())
+            .map(|(i, p)| map.add_landmark(*p, id, i, scales))
+            .collect()
+    }
+
+    /// Makes landmarks dynamic.
+    pub(crate) fn set_moving(&mut self, landmarks: &[LandmarkId]) {
+        for id in landmarks {
+            let landmark = self.map.landmark_mut(*id).expect("in the map");
+            landmark.push_label(Label::Dynamic, &self.context.config.labels.window);
+        }
+    }
+
+    fn frame_with(
+        &self,
+        id: u32,
+        keypoints: &[Keypoint],
+        descriptors: Vec<Descriptor>,
+        depth: &DepthImage,
+    ) -> Frame {
         let config = &self.context.config;
         let levels = Levels::new(depth.size(), 1.2, 8, config.features.exact_levels);
         Frame::new(
             FrameId(id),
             f64::from(id) / 30.0,
             keypoints.to_vec(),
-            vec![Descriptor::default(); keypoints.len()],
+            descriptors,
             depth,
             None,
             &self.context.camera,
@@ -157,4 +208,44 @@ pub(crate) fn places() -> Vec<[usize; 2]> {
     columns
         .flat_map(|x| (4..120).step_by(8).map(move |y| [x, y]))
         .collect()
+}
+
+/// A camera of 160 x 120 pixels whose numbers all differ.
+pub(crate) fn uneven_camera() -> Camera {
+    Camera::pinhole((160, 120), [110.0, 130.0, 78.0, 61.0]).expect("valid")
+}
+
+/// 70 points 2 to 3.5 m in front of [`uneven_camera`] at the origin, 14 px from each other.
+pub(crate) fn cloud() -> Vec<Vector3<f64>> {
+    let camera = uneven_camera();
+    let places = (0..10).flat_map(|i| (0..7).map(move |j| (i, j)));
+    places
+        .map(|(i, j)| {
+            let px = Vector2::new(f64::from(14 * i + 17), f64::from(14 * j + 16));
+            camera.unproject(&px, 2.0 + 0.5 * f64::from((2 * i + 3 * j) % 4))
+        })
+        .collect()
+}
+
+/// A motion of a few pixels: rotation and translation about every axis.
+pub(crate) fn small_motion() -> Se3 {
+    Se3::exp(&[0.03, -0.02, 0.05, 0.012, -0.017, 0.02].into())
+}
+
+/// The stages that began, in order; each must end before the next.
+#[derive(Debug, Default)]
+pub(crate) struct Stages {
+    pub(crate) begun: Vec<Stage>,
+    open: Option<Stage>,
+}
+
+impl Observer for Stages {
+    fn begin(&mut self, stage: Stage) {
+        assert_eq!(self.open.replace(stage), None, "stages do not nest");
+        self.begun.push(stage);
+    }
+
+    fn end(&mut self, stage: Stage) {
+        assert_eq!(self.open.take(), Some(stage), "what ended");
+    }
 }

@@ -375,39 +375,4 @@ impl Tracker {
 }
 
 #[cfg(test)]
-mod tests {
-    use garad_core::Par;
-
-    use super::*;
-    use crate::config::Config;
-
-    /// Inliers of one frame after the other: (inliers, state, weak).
-    #[test]
-    fn tracking_weak_and_lost() {
-        use TrackingState::{Lost, Tracking};
-        let camera = garad_core::Camera::pinhole((64, 48), [50.0, 50.0, 31.5, 23.5]);
-        let mut config = Config::default();
-        let t = &mut config.tracking;
-        (t.min_inliers, t.min_inliers_after_recovery) = (30, 50);
-        let context = Context::new(camera.expect("valid"), config, 0, Par::Seq).expect("valid");
-        let mut tracker = Tracker::default();
-        let frames = [
-            (400, Tracking, false),
-            (200, Tracking, false), // half is not less than half
-            (180, Tracking, true),  // of 380
-            (181, Tracking, false), // of 360: 180
-            (29, Lost, false),
-            (49, Lost, false),
-            (50, Tracking, false), // found again; what is usual begins anew
-            (49, Lost, false),     // not yet trusted
-        ];
-        for (k, (inliers, state, weak)) in (0u32..).zip(frames) {
-            tracker.update_state(&context, FrameId(k), inliers);
-            assert_eq!(
-                (tracker.state(), tracker.is_weak()),
-                (state, weak),
-                "frame {k}"
-            );
-        }
-    }
-}
+mod tests;

@@ -138,7 +138,6 @@ impl Config {
              inside(0.0, self.culling.redundant_share, 1.0 + f64::EPSILON), "a number in (0, 1]"),
             ("culling.observers", self.culling.observers as f64, self.culling.observers > 0, "at least 1"),
             ("train.max_views", self.train.max_views as f64, self.train.max_views >= 2, "at least 2"),
-            ("keyframes.max_gap", self.keyframes.max_gap as f64, self.keyframes.max_gap > 0, "at least 1"),
             ("insertion.stride_px", s.stride_px as f64, s.stride_px > 0, "at least 1"),
             ("insertion.footprint", s.footprint, inside(0.0, s.footprint, f64::INFINITY), positive),
             ("insertion.opacity", s.opacity, inside(0.0, s.opacity, 1.0), share),
@@ -169,5 +168,115 @@ mod tests {
         config.tracking.bf = f64::NAN;
         let error = config.validate().expect_err("NaN");
         assert!(error.to_string().contains("tracking.bf"), "{error}");
+    }
+
+    /// Every number at and beyond its limits: key, values that are valid, values that are not.
+    #[test]
+    #[rustfmt::skip]
+    fn every_limit() {
+        let most = f64::MAX;
+        let cases: &[(&str, &[f64], &[f64])] = &[
+            ("features.count", &[1.0, 100_000.0], &[0.0, 100_001.0]),
+            ("features.max_oversampling", &[1.0, 10.0], &[0.99, 10.01]),
+            ("features.scale", &[1.01, 3.99], &[1.0, 4.0]),
+            ("features.levels", &[1.0, 16.0], &[0.0, 17.0]),
+            ("features.fast_min_threshold", &[1.0, 20.0], &[0.0, 21.0]),
+            ("features.max_depth_m", &[1e-9, most], &[0.0, -1.0]),
+            ("features.edge_ratio", &[1e-9, most], &[0.0, -1.0]),
+            ("tracking.bf", &[1e-9, most], &[0.0, -1.0]),
+            ("tracking.disparity_sigma_px", &[1e-9, most], &[0.0, -1.0]),
+            ("tracking.motion_radius_px", &[1e-9, 9999.0], &[0.0, 1e4]),
+            ("tracking.shutter_sigma_rad", &[0.0, 0.1], &[-1e-9, 0.11]),
+            ("render_tracking.iterations", &[1.0], &[0.0]),
+            ("render_tracking.level", &[0.0, 4.0], &[5.0]),
+            ("render_tracking.translation_rate_m", &[1e-9, most], &[0.0, -1.0]),
+            ("render_tracking.rotation_rate_rad", &[1e-9, most], &[0.0, -1.0]),
+            ("render_tracking.min_opacity", &[1e-9, 0.999], &[0.0, 1.0]),
+            ("render_tracking.lambda_color", &[0.0, most], &[-1e-9]),
+            ("render_tracking.min_share", &[1e-9, 0.999], &[0.0, 1.0]),
+            ("depth_planes.noise.floor_m", &[1e-9, most], &[0.0, -1.0]),
+            ("depth_planes.noise.per_m", &[0.0, most], &[-1e-9]),
+            ("depth_planes.outlier_sigmas", &[1e-9, most], &[0.0, -1.0]),
+            ("depth_planes.outlier_px", &[1e-9, most], &[0.0, -1.0]),
+            ("keyframes.max_gap", &[3.0], &[2.0, 0.0]), // min_gap is 3
+            ("motion.acceleration_m_s2", &[1e-9, most], &[0.0, -1.0]),
+            ("motion.shared_error", &[0.0, most], &[-1e-9]),
+            ("train.lambda_ssim", &[0.0, 1.0], &[-1e-9, 1.001]),
+            ("train.lambda_depth", &[0.0, most], &[-1e-9]),
+            ("train.sh_degree", &[0.0, 3.0], &[4.0]),
+            ("train.rates.sh_rest_divisor", &[1e-9, most], &[0.0, -1.0]),
+            ("train.max_views", &[2.0], &[1.0]),
+            ("densify.every", &[1.0], &[0.0]),
+            ("densify.grad_threshold", &[1e-9, most], &[0.0, -1.0]),
+            ("densify.min_opacity", &[1e-9, 0.999], &[0.0, 1.0]),
+            ("two_view.radius_px", &[1e-9, most], &[0.0, -1.0]),
+            ("two_view.min_inverse_depth_sigmas", &[1e-9, most], &[0.0, -1.0]),
+            ("labels.step_px", &[4.0, 128.0], &[3.0, 129.0]),
+            ("labels.noise.floor_m", &[1e-9, most], &[0.0, -1.0]),
+            ("labels.noise.per_m", &[0.0, most], &[-1e-9]),
+            ("labels.trust_young", &[1e-9, 0.999], &[0.0, 1.0]),
+            ("labels.trust_old", &[1e-9, 0.999], &[0.0, 1.0]),
+            ("labels.trust_unknown", &[1e-9, 0.999], &[0.0, 1.0]),
+            ("labels.settle_frames", &[1.0], &[0.0]),
+            ("labels.rest_frames", &[1.0], &[0.0]),
+            ("labels.history_gap", &[1.0], &[0.0]),
+            ("labels.edge_ratio", &[1e-9, most], &[0.0, -1.0]),
+            ("labels.spread.neighbours", &[1.0], &[0.0]),
+            ("labels.spread.radius_m", &[1e-9, most], &[0.0, -1.0]),
+            ("labels.gaussian_mask.opacity", &[1e-9, 0.999], &[0.0, 1.0]),
+            ("labels.gaussian_mask.depth_m", &[0.0, most], &[-1e-9]),
+            ("labels.gaussian_mask.surface_share", &[0.0, 0.999], &[-1e-9, 1.0]),
+            ("labels.patch_motion.min_suspects", &[0.0, 1.0], &[-1e-9, 1.001]),
+            ("labels.patch_motion.same_correlation", &[-1.0, 1.0], &[-1.001, 1.001]),
+            ("labels.patch_motion.min_correlation", &[-1.0, 1.0], &[-1.001, 1.001]),
+            ("labels.patch_motion.sigma_px", &[1e-9, most], &[0.0, -1.0]),
+            ("labels.patch_motion.ages_frames.2", &[1.0], &[0.0]),
+            ("flow.covariance_floor_px2", &[0.0, most], &[-1e-9]),
+            ("flow.min_support", &[3.0], &[2.0]),
+            ("flow.chi2", &[1e-9, most], &[0.0, -1.0]),
+            ("loops.max_drift", &[1e-9, most], &[0.0, -1.0]),
+            ("loops.max_drift_floor_m", &[1e-9, most], &[0.0, -1.0]),
+            ("loops.in_a_row", &[1.0], &[0.0]),
+            ("loops.min_inliers", &[3.0], &[2.0]),
+            ("culling.redundant_share", &[1e-9, 1.0], &[0.0, 1.001]),
+            ("culling.observers", &[1.0], &[0.0]),
+            ("insertion.stride_px", &[1.0], &[0.0]),
+            ("insertion.footprint", &[1e-9, most], &[0.0, -1.0]),
+            ("insertion.opacity", &[1e-9, 0.999], &[0.0, 1.0]),
+        ];
+        for (key, good, bad) in cases {
+            let with = |value: f64| -> Config {
+                let mut json = serde_json::to_value(Config::default()).expect("numbers");
+                let path = format!("/{}", key.replace('.', "/"));
+                let place = json.pointer_mut(&path).expect("the key");
+                *place = match place.is_f64() {
+                    true => value.into(),
+                    false => serde_json::from_str(&format!("{value:.0}")).expect("an integer"),
+                };
+                serde_json::from_value(json).expect("a configuration")
+            };
+            for value in *good {
+                assert_eq!(with(*value).validate(), Ok(()), "{key} = {value}");
+            }
+            for value in *bad {
+                let found = with(*value).validate();
+                let expected = key.trim_end_matches(".2");
+                let named = matches!(&found, Err(ConfigError::OutOfRange { key, value: v, .. })
+                    if *key == expected && (v - value).abs() <= 0.0);
+                assert!(named, "{key} = {value}: {found:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_gap_of_at_least_one_frame() {
+        let mut config = Config::default();
+        (config.keyframes.min_gap, config.keyframes.max_gap) = (0, 1);
+        assert_eq!(config.validate(), Ok(()), "every frame");
+        config.keyframes.max_gap = 0;
+        config.validate().expect_err("none");
+        config.features.fast_threshold = 6;
+        let error = config.validate().expect_err("below the least");
+        assert!(error.to_string().contains("fast_min_threshold"), "{error}");
     }
 }

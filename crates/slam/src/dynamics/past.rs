@@ -21,7 +21,7 @@ const MIN_FUTURE_FRAMES: u32 = 3;
 /// keyframe.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct PastView {
-    pub(super) frame: FrameId,
+    pub(crate) frame: FrameId,
     pub(super) reference: KeyframeId,
     pub(super) frame_from_reference: Se3,
     pub(super) shutter: RollingShutter,

@@ -364,4 +364,44 @@ mod tests {
         // 1.15 m at 2 m are 80.5 px: five of ten columns are left.
         assert_eq!(offsets(&wall, &aside, &wall).len(), 40, "half of it");
     }
+
+    /// Pixels alternately δ nearer and farther: rmse δ. σ = max(7.5e-4 z², 2.5 mm), eight times that is the limit.
+    #[test]
+    fn a_block_is_flat_to_eight_standard_deviations() {
+        for (z, delta, flat) in [
+            (2.0, 0.0236, true),
+            (2.0, 0.0244, false),
+            (1.0, 0.0196, true), // the floor
+            (1.0, 0.0204, false),
+        ] {
+            let sign = |x, y| if (x + y) % 2 == 0 { 1.0 } else { -1.0 };
+            let depth = DepthImage::from_fn(32, 16, |x, y| z + delta * sign(x, y));
+            let planes = DepthPlanes::new(&depth, 8.0, &NOISE);
+            assert_eq!(
+                planes.count(),
+                if flat { 2 } else { 0 },
+                "{delta} m at {z} m"
+            );
+        }
+    }
+
+    #[test]
+    fn blocks_are_found_by_pixel() {
+        let planes = DepthPlanes::new(&DepthImage::new(160, 128, 2.0), 8.0, &NOISE);
+        for (px, middle) in [
+            ([-0.5, 3.0], Some([7.5, 7.5])),
+            ([-0.51, 3.0], None),
+            ([3.0, -0.51], None),
+            ([15.49, 31.5], Some([7.5, 39.5])),
+            ([15.5, 31.49], Some([23.5, 23.5])),
+            ([159.4, 127.4], Some([151.5, 119.5])),
+            ([159.6, 3.0], None),
+            ([3.0, 127.6], None),
+        ] {
+            let found = planes.at(&Vector2::from(px)).map(|plane| plane.middle_px);
+            assert_eq!(found, middle.map(Vector2::from), "{px:?}");
+        }
+        let far = DepthPlanes::new(&DepthImage::new(32, 16, 5.0), 5.0, &NOISE);
+        assert_eq!(far.count(), 2, "as far as it may be");
+    }
 }

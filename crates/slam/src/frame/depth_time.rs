@@ -162,4 +162,19 @@ mod tests {
         let of = |par| depth_at_colour_time(&depth, &camera(), &motion, par);
         assert_eq!(of(Par::Seq), of(Par::Threads(3)));
     }
+
+    /// A camera that goes towards a wall saw it 3 m away when it took depth: the colour image was taken 0.1 m
+    /// before or after.
+    #[test]
+    fn a_step_ahead_is_added_to_the_depth() {
+        for (step_m, expected) in [(-0.1, 3.1), (0.1, 2.9)] {
+            let step = Se3::new(So3::identity(), Vector3::new(0.0, 0.0, step_m));
+            let mut depth = DepthImage::new(160, 120, 3.0);
+            depth[(80, 60)] = 0.0;
+            let found = depth_at_colour_time(&depth, &camera(), &step, Par::Seq);
+            let off = f64::from(found[(40, 30)]) - expected;
+            assert!(off.abs() < 1e-6, "{step_m} m: {}", found[(40, 30)]);
+            assert!(found[(80, 60)] <= 0.0, "missing");
+        }
+    }
 }

@@ -76,3 +76,46 @@ impl Grid {
 fn cell_of(coordinate: f64, last: usize) -> usize {
     ((coordinate / CELL_PX) as usize).min(last)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Cells of an image of 35 x 25 pixels: 4 columns of 3.
+    #[test]
+    fn cells_row_by_row_and_keypoints_in_order() {
+        let camera = Camera::pinhole((35, 25), [20.0, 21.0, 17.0, 12.0]).expect("valid");
+        let places = [
+            [31.0, 21.0],
+            [2.0, 3.0],
+            [12.0, 3.0],
+            [3.0, 14.0],
+            [4.0, 9.9],
+            [12.0, 12.0], // not in use
+            [f64::NAN, 3.0],
+            [-0.6, 3.0],
+            [3.0, 24.6],
+            [-0.4, 24.4],
+        ];
+        let mut in_use = [true; 10];
+        in_use[5] = false;
+        let grid = Grid::new(&camera, &places.map(Vector2::from), &in_use);
+        let found = |x, y, radius| grid.cells(Vector2::new(x, y), radius).collect::<Vec<_>>();
+        let cases: [(f64, f64, f64, &[usize]); 7] = [
+            (8.0, 8.0, 1.9, &[1, 4]),
+            (8.0, 8.0, 2.0, &[1, 4, 2, 3]),
+            (8.0, 5.0, 2.0, &[1, 4, 2]),
+            (5.0, 12.0, 2.0, &[3]),
+            (5.0, 12.0, 2.1, &[1, 4, 3]),
+            (20.0, 15.0, 100.0, &[1, 4, 2, 3, 9, 0]),
+            (60.0, 40.0, 1.0, &[0]), // outside: the nearest cell
+        ];
+        for (x, y, radius, expected) in cases {
+            assert_eq!(
+                found(x, y, radius),
+                expected,
+                "{radius} px around ({x}, {y})"
+            );
+        }
+    }
+}

@@ -50,3 +50,31 @@ impl Levels {
         Vector2::new(at(x, rx), at(y, ry))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Level 3 of 160 x 90 pixels is 93 x 52: 160 / 1.728 = 92.6, 90 / 1.728 = 52.1.
+    #[test]
+    fn a_pixel_of_a_level_lies_at_the_centre_of_what_it_covers() {
+        let centre = [10.5 * 160.0 / 93.0 - 0.5, 7.5 * 90.0 / 52.0 - 0.5];
+        for (exact, level, [x, y], expected) in [
+            (true, 0, [17.0, 12.0], [17.0, 12.0]),
+            (true, 3, [17.28, 12.096], centre), // 1.728 times (10, 7)
+            (false, 3, [17.28, 12.096], [17.28, 12.096]),
+        ] {
+            let keypoint = Keypoint {
+                x,
+                y,
+                level,
+                angle_deg: 0.0,
+                response: 1.0,
+            };
+            let levels = Levels::new((160, 90), 1.2, 4, exact);
+            let off = (levels.center(&keypoint) - Vector2::from(expected)).norm();
+            assert!(off < 1e-5, "level {level}, exact {exact}: off by {off} px");
+            assert!((levels.scale[3] - 1.728).abs() < 1e-6, "σ of level 3");
+        }
+    }
+}

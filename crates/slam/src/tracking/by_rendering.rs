@@ -222,4 +222,103 @@ mod tests {
         target.depth = None;
         assert_eq!(pose_from(&target, &here), None, "no depth image");
     }
+
+    #[test]
+    fn pixels_with_depth_and_their_share() {
+        let config = RenderTrackingConfig {
+            min_share: 0.25,
+            ..RenderTrackingConfig::default()
+        };
+        for (known, enough) in [(25, true), (24, false)] {
+            let unknown = [0.0, f32::NAN, f32::INFINITY, -1.0];
+            let depth = DepthImage::from_fn(20, 5, |x, y| match 20 * y + x {
+                i if i < known => 2.0,
+                i => unknown[i % 4],
+            });
+            assert_eq!(
+                pixels_with_depth(&depth, &config),
+                (known, enough),
+                "of 100"
+            );
+        }
+    }
+
+    #[test]
+    fn pixels_that_are_not_compared() {
+        let (context, map) = (context(), map());
+        let mut target = target(&context, &map, &Se3::identity());
+        let options = RenderOptions::default();
+        let pose = Se3::identity();
+        let rendered = fast::render(&map, &context.camera, &pose, &options, Par::Seq);
+        let mut rendered = rendered.expect("drawn");
+        rendered.opacity = Image::new(80, 60, 0.875);
+        rendered.opacity[(3, 0)] = 0.75; // not above
+        rendered.opacity[(4, 0)] = 0.76;
+        target.excluded[(5, 0)] = 1;
+        let mut measured = DepthImage::new(80, 60, 2.0);
+        for (x, z) in [(6, 0.0), (7, f32::NAN), (8, f32::INFINITY), (9, -1.0)] {
+            measured[(x, 0)] = z;
+        }
+        let config = RenderTrackingConfig {
+            min_opacity: 0.75,
+            ..RenderTrackingConfig::default()
+        };
+        let found = not_compared(&rendered, &target, &measured, &config);
+        let excluded: Vec<_> = (0..4800).filter(|i| found.data()[*i] != 0).collect();
+        assert_eq!(excluded, [3, 5, 6, 7, 8, 9], "in the first row");
+        assert!(excluded.iter().all(|i| found.data()[*i] == 255), "255");
+    }
+
+    /// L typed again: 1/n Σ (λ ‖C - I‖₁ + |D/O - z|).
+    #[test]
+    fn the_loss_weighs_the_sum_of_the_colours() {
+        let (context, map) = (context(), map());
+        let truth = Se3::exp(&Vector6::new(0.02, -0.01, 0.03, 0.01, -0.02, 0.03));
+        let target = target(&context, &map, &truth);
+        let measured = target.depth.clone().expect("rendered");
+        let options = RenderOptions::default();
+        let pose = Se3::identity();
+        let rendered = fast::render(&map, &context.camera, &pose, &options, Par::Seq);
+        let rendered = rendered.expect("drawn");
+        for lambda_color in [0.0, 0.7] {
+            let config = RenderTrackingConfig {
+                lambda_color,
+                min_opacity: 0.9,
+                ..RenderTrackingConfig::default()
+            };
+            let (mut sum, mut n) = (0.0, 0);
+            for at in (0..60).flat_map(|y| (0..80).map(move |x| (x, y))) {
+                let opacity = rendered.opacity[at];
+                if opacity > 0.9 && measured[at] > 0.0 {
+                    let (c, i) = (rendered.color[at], target.color[at]);
+                    let color: f64 = (0..3).map(|k| f64::from((c[k] - i[k]).abs())).sum();
+                    let depth = rendered.depth[at] / opacity - measured[at];
+                    sum += lambda_color * color + f64::from(depth.abs());
+                    n += 1;
+                }
+            }
+            let loss = tracking_loss(&map, &target, &pose, &config, Par::Seq).expect("seen");
+            assert_eq!(loss.pixels, n, "pixels");
+            let expected = sum / n as f64;
+            let off = (f64::from(loss.value) - expected).abs();
+            assert!(
+                off < 1e-5 * expected,
+                "λ = {lambda_color}: {} {expected}",
+                loss.value
+            );
+        }
+    }
+
+    /// A fifth of a millimetre off, and steps of a centimetre: none is better than the first.
+    #[test]
+    fn the_best_of_all_poses_is_returned() {
+        let (mut context, map) = (context(), map());
+        let r = &mut context.config.render_tracking;
+        (r.iterations, r.translation_rate_m, r.rotation_rate_rad) = (3, 0.01, 0.005);
+        let truth = Se3::exp(&Vector6::new(0.1, -0.05, 0.05, 0.02, -0.1, 0.05));
+        let target = target(&context, &map, &truth);
+        let start = Se3::exp(&Vector6::new(2e-4, 0.0, 0.0, 0.0, 0.0, 0.0)) * truth;
+        let found = pose_by_rendering(&context, &map, &target, &start);
+        assert_eq!(found.expect("seen").0, start, "the start itself");
+    }
 }

@@ -404,4 +404,55 @@ mod tests {
         );
         assert_eq!(recent_depth_planes(&world.map, 3).len(), 3, "of five");
     }
+
+    /// σ = 1.5 px: the gate is √5.991 · 1.5 = 3.67 px. A link to what moves does not fit.
+    #[test]
+    fn links_beyond_the_gate_are_misfits() {
+        let (mut world, mut now, _) = in_step(Config::default());
+        let made: Vec<_> = now.landmark.iter().flatten().copied().collect();
+        now.landmark.fill(None);
+        world.set_moving(&made[5..6]);
+        now.sigma_px[..6].fill(1.5);
+        for (i, off) in [
+            [3.66, 0.0],
+            [3.68, 0.0],
+            [0.0, -3.66],
+            [0.0, -3.68],
+            [2.6, 2.6],
+            [0.0, 0.0],
+        ]
+        .into_iter()
+        .enumerate()
+        {
+            let landmark = world.map.landmark(made[i]).expect("made");
+            let uv_px = world.context.camera.project(&landmark.p_world);
+            now.uv_px[i] = uv_px.expect("in front") + Vector2::from(off);
+            now.landmark[i] = Some(made[i]);
+        }
+        unlink_misfits(&world.context, &world.map, &mut now);
+        let fit: Vec<_> = now.landmark[..6].iter().map(Option::is_some).collect();
+        assert_eq!(fit, [true, false, true, false, false, false], "links");
+    }
+
+    #[test]
+    fn the_youngest_depth_is_compared_with() {
+        let mut world = world(Config::default());
+        let wall = DepthImage::new(SIZE.0, SIZE.1, WALL_M);
+        for id in 0..4u32 {
+            let mut seen = frame(&world, id, &wall);
+            seen.camera_from_world.translation.x = f64::from(id);
+            world.map.add_keyframe(seen);
+        }
+        world.map.keyframe_mut(KeyframeId(2)).depth_planes = None;
+        let of = |n| -> Vec<Option<f64>> {
+            let found = recent_depth_planes(&world.map, n);
+            found
+                .iter()
+                .map(|(_, pose)| Some(pose.translation.x))
+                .collect()
+        };
+        assert_eq!(of(1), [Some(3.0)], "the last");
+        assert_eq!(of(2), [Some(3.0)], "the one before has none");
+        assert_eq!(of(3), [Some(3.0), Some(1.0)], "youngest first");
+    }
 }

@@ -13,6 +13,7 @@
 use garad_core::{KeyframeId, LandmarkId, Rng, Se3};
 use garad_features::{Descriptor, PlaceIndex};
 use garad_optim::{PnpConfig, solve_pnp_ransac};
+use nalgebra::Vector3;
 
 use super::matching;
 use super::observation::link_observation;
@@ -152,6 +153,11 @@ fn pnp(
     Some(found?.camera_from_world)
 }
 
+/// Whether a pair is an inlier of camera_from_world.
+fn fits(pose: &Se3, p_cam: &Vector3<f64>, p_world: &Vector3<f64>) -> bool {
+    (*pose * *p_world - p_cam).norm() < INLIER_FLOOR_M + INLIER_RATIO * p_cam.z
+}
+
 /// camera_from_world with the most inliers among the linked keypoints with depth, if there are at
 /// least `needed`.
 fn rigid_ransac(context: &Context, map: &Map, frame: &Frame, needed: usize) -> Option<Se3> {
@@ -168,9 +174,7 @@ fn rigid_ransac(context: &Context, map: &Map, frame: &Frame, needed: usize) -> O
     let inliers_of = |pose: &Se3| -> Vec<_> {
         pairs
             .iter()
-            .filter(|(p_cam, p_world)| {
-                (*pose * *p_world - p_cam).norm() < INLIER_FLOOR_M + INLIER_RATIO * p_cam.z
-            })
+            .filter(|(p_cam, p_world)| fits(pose, p_cam, p_world))
             .copied()
             .collect()
     };
@@ -190,4 +194,167 @@ fn rigid_ransac(context: &Context, map: &Map, frame: &Frame, needed: usize) -> O
         return None;
     }
     rigid_from_pairs(&best)
+}
+
+#[cfg(test)]
+mod tests {
+    use garad_features::PlaceConfig;
+
+    use super::*;
+    use crate::config::Config;
+    use crate::testing::{World, cloud, small_motion, uneven_camera};
+
+    /// The frame sees 70 points from [`small_motion`]. Keyframe 0 looks like it in 40 keypoints, 20 of
+    /// which made landmarks; keyframe 1 in 30, all of which made landmarks. They share none.
+    fn scene(after_recovery: usize, reference_min: usize) -> (World, PlaceIndex, Frame) {
+        let mut config = Config::default();
+        let t = &mut config.tracking;
+        (t.min_inliers_after_recovery, t.reference_min_matches) = (after_recovery, reference_min);
+        let mut world = World::with_camera(uneven_camera(), config);
+        let mut places = PlaceIndex::new(PlaceConfig::default(), 0).expect("valid");
+        let points = cloud();
+        for (keyframe, seen, made) in [(0, &points[..40], 20), (1, &points[..30], 30)] {
+            let frame = world.see(keyframe, seen, &Se3::identity());
+            places.add(KeyframeId(keyframe), &static_descriptors(&frame));
+            world.remember(frame, &seen[..made]);
+        }
+        let now = world.see(7, &points, &small_motion());
+        (world, places, now)
+    }
+
+    fn linked(frame: &Frame) -> Vec<u32> {
+        frame.landmark.iter().flatten().map(|l| l.0).collect()
+    }
+
+    fn off(frame: &Frame) -> f64 {
+        (frame.camera_from_world * small_motion().inverse())
+            .log()
+            .norm()
+    }
+
+    #[test]
+    fn the_first_keyframe_that_is_good_enough_or_the_best() {
+        for (after_recovery, reference_min, expected) in [
+            (20, 15, Some(0..20)), // the first has enough
+            (21, 15, Some(20..50)),
+            (50, 15, Some(20..50)), // none has: the most
+            (50, 21, Some(20..50)),
+            (50, 30, Some(20..50)),
+            (50, 31, None),
+        ] {
+            let (world, places, mut now) = scene(after_recovery, reference_min);
+            let recorder = &mut Recorder::default();
+            let found = relocalise(&world.context, &world.map, &places, &mut now, recorder);
+            let what = format!("{after_recovery} wanted, {reference_min} needed");
+            assert_eq!(found, expected.is_some(), "{what}");
+            let links: Vec<_> = expected.into_iter().flatten().collect();
+            assert_eq!(linked(&now), links, "{what}");
+            assert!(!found || off(&now) < 1e-4, "{what}: {}", off(&now));
+        }
+    }
+
+    #[test]
+    fn the_first_of_equals_stays() {
+        let (mut world, places, mut now) = scene(50, 15);
+        let surplus: Vec<_> = (40..50).map(LandmarkId).collect();
+        world.set_moving(&surplus);
+        let recorder = &mut Recorder::default();
+        assert!(
+            relocalise(&world.context, &world.map, &places, &mut now, recorder),
+            "found"
+        );
+        assert_eq!(linked(&now), (0..20).collect::<Vec<_>>(), "20 each");
+    }
+
+    /// With depth by a rigid motion, without by directions; neighbours' landmarks are found, too.
+    #[test]
+    fn a_pose_from_one_keyframe_and_its_neighbours() {
+        for with_depth in [true, false] {
+            let (mut world, _, mut now) = scene(50, 15);
+            // Keyframe 2 observes landmarks 45 to 49 of keyframe 1 and made those of points 50 to 59.
+            let points = cloud();
+            let mut third = world.see(2, &points[..60], &Se3::identity());
+            for (i, id) in (25..30).zip(45..50) {
+                third.landmark[i] = Some(LandmarkId(id));
+            }
+            let id = world.map.add_keyframe(third);
+            for (i, p) in points.iter().enumerate().take(60).skip(50) {
+                world.map.add_landmark(*p, id, i, &world.context.scales);
+            }
+            if with_depth {
+                let depth = points.iter().map(|p| Some((small_motion() * *p).z));
+                now.depth_m = depth.collect();
+            }
+            now.landmark.fill(Some(LandmarkId(3))); // of another try
+            let recorder = &mut Recorder::default();
+            let (context, map) = (&world.context, &world.map);
+            let inliers = locate(context, map, &mut now, KeyframeId(1), recorder);
+            assert_eq!(inliers, 40, "30 of the keyframe, 10 of its neighbour");
+            assert_eq!(linked(&now), (20..60).collect::<Vec<_>>(), "links");
+            assert!(off(&now) < 1e-4, "{}", off(&now));
+            assert_eq!(landmarks_around(map, KeyframeId(1)).len(), 40, "around");
+            assert_eq!(
+                locate(context, map, &mut now, KeyframeId(2), recorder),
+                40,
+                "as well"
+            );
+            world.context.config.tracking.reference_min_matches = 21;
+            let inliers = locate(
+                &world.context,
+                &world.map,
+                &mut now,
+                KeyframeId(0),
+                recorder,
+            );
+            assert_eq!(inliers, 0, "20 matches");
+        }
+    }
+
+    /// 0.02 m and 3 % of the measured depth.
+    #[test]
+    fn inliers_of_a_rigid_motion() {
+        let pose = small_motion();
+        let along = Vector3::new(0.36, -0.48, 0.8);
+        for (z, distance_m, expected) in [
+            (2.0, 0.079, true),
+            (2.0, 0.081, false),
+            (4.0, 0.139, true),
+            (4.0, 0.141, false),
+        ] {
+            let p_cam = Vector3::new(0.5, -0.25, z);
+            let p_world = pose.inverse() * (p_cam + distance_m * along);
+            assert_eq!(
+                fits(&pose, &p_cam, &p_world),
+                expected,
+                "{distance_m} m at {z} m"
+            );
+        }
+    }
+
+    /// 30 pairs with depth, six of which have a wrong one.
+    #[test]
+    fn a_rigid_motion_needs_enough_pairs_and_inliers() {
+        let (world, _, mut now) = scene(50, 15);
+        for (i, (id, p)) in (0..20).chain(40..50).zip(cloud()).enumerate() {
+            let z = (small_motion() * p).z;
+            now.landmark[i] = Some(LandmarkId(id));
+            now.depth_m[i] = Some(if i % 5 == 4 { 1.5 * z } else { z });
+        }
+        let pose = |needed| rigid_ransac(&world.context, &world.map, &now, needed);
+        for needed in [3, 24] {
+            let found = pose(needed).expect("24 of 30 fit");
+            let off = (found * small_motion().inverse()).log().norm();
+            assert!(off < 1e-6, "{off}");
+        }
+        assert_eq!(pose(25), None, "24 inliers");
+        assert_eq!(pose(31), None, "30 pairs");
+    }
+
+    #[test]
+    fn a_place_is_recognised_by_what_does_not_move() {
+        let (_, _, mut now) = scene(50, 15);
+        now.in_use[1..69].fill(false);
+        let expected = [now.descriptors[0], now.descriptors[69]];
+        assert_eq!(static_descriptors(&now), expected, "in order");
+    }
 }

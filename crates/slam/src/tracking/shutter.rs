@@ -188,6 +188,8 @@ mod tests {
     use garad_core::{Rng, So3};
 
     use super::*;
+    use crate::config::Config;
+    use crate::testing::{World, cloud, uneven_camera, wall};
 
     /// A hand that trembles at 5 Hz and pans, seen at 30 Hz by a camera whose rows take the share `r`
     /// of the time between frames; the turn is measured to `noise_rad`.
@@ -268,5 +270,160 @@ mod tests {
         let elsewhere = Se3::new(So3::exp(&Vector3::new(0.0, 1.0, 0.0)), Vector3::zeros());
         after.update(Some(Vector3::zeros()), &elsewhere, false);
         assert_eq!(before.frames, after.frames, "no pair of frames");
+    }
+
+    fn model(products_rad2: [f64; 3], frames: u32) -> ShutterModel {
+        ShutterModel {
+            products_rad2,
+            frames,
+            ..ShutterModel::new()
+        }
+    }
+
+    /// Σ Δ·Δ = 1e-4 of 12 frames: r = Σ ω·Δ / 1e-4, certain if Σ ω·ω - r Σ ω·Δ ≤ r² 12 · 3 · 1e-4 / 9.
+    #[test]
+    fn a_share_is_known_when_it_is_large_and_certain() {
+        for (turn_turn, turn_rotation, expected) in [
+            (1.24e-4, 5e-5, 0.5), // 2.5e-5 and 1e-4
+            (1.26e-4, 5e-5, 0.0),
+            (1e-5, 3.1e-5, 0.31),
+            (1e-5, 2.9e-5, 0.0),
+            (1e-5, -5e-5, 0.0),
+            (1.5e-4, 1.2e-4, 1.0),
+        ] {
+            let r = model([turn_turn, turn_rotation, 1e-4], 12).read_out_share();
+            assert!(
+                (r - expected).abs() < 1e-12,
+                "{turn_turn}, {turn_rotation}: {r}"
+            );
+        }
+    }
+
+    /// Angles about z. ω: 2, 10, 4 mrad; Δ: 10, 30, 20 mrad. Means after the first 2 and 10, after the second
+    /// 2 + 8/8 and 10 + 20/8.
+    #[test]
+    fn products_are_of_deviations_from_running_means() {
+        let about_z = |angle: f64| Vector3::new(0.0, 0.0, angle);
+        let mut model = ShutterModel::new();
+        let mut at = 0.1;
+        model.update(
+            Some(about_z(0.5)),
+            &Se3::new(So3::exp(&about_z(at)), Vector3::x()),
+            false,
+        );
+        let mut expected = [[0.0; 3], [0.0, 0.0, 1e-4], [4.9e-5, 8.75e-5, 2.5625e-4]].iter();
+        for (frames, (turn, rotation)) in
+            (0u32..).zip([(0.002, 0.010), (0.010, 0.030), (0.004, 0.020)])
+        {
+            at += rotation;
+            let pose = Se3::new(So3::exp(&about_z(at)), Vector3::y());
+            model.update(Some(about_z(turn)), &pose, true);
+            assert_eq!(model.frames, frames, "pairs of frames");
+            let expected = expected.next().expect("three");
+            for (found, expected) in model.products_rad2.iter().zip(expected) {
+                assert!(
+                    (found - expected).abs() < 1e-12,
+                    "{:?}",
+                    model.products_rad2
+                );
+            }
+        }
+        let means = model.means_rad.expect("known").map(|m| m.z);
+        assert!((means[0] - 0.003_125).abs() < 1e-12, "{means:?}");
+        assert!((means[1] - 0.013_437_5).abs() < 1e-12, "{means:?}");
+        let mut gap = model.clone();
+        gap.update(None, &Se3::identity(), true);
+        assert_eq!(gap.last, None, "no turn, no pair");
+        assert_eq!(
+            (gap.frames, gap.means_rad),
+            (model.frames, model.means_rad),
+            "nothing learnt"
+        );
+    }
+
+    /// r = 0.5; mean ω (1, 2, 3) mrad, mean Δ (4, -2, 6) mrad: ω exceeds r Δ by (-1, 3, 0).
+    #[test]
+    fn the_expected_turn_and_the_corrected_one() {
+        let world = World::new(Config::default());
+        let mut frame = world.frame_of(1, &[], &wall());
+        let last = Se3::exp(&[0.2, 0.1, 0.3, 0.1, -0.2, 0.3].into());
+        let since = Vector3::new(0.010, 0.002, -0.004);
+        frame.camera_from_world = Se3::new(So3::exp(&since), Vector3::y()) * last;
+        let mut known = model([7.3e-5, 5e-5, 1e-4], 12);
+        known.means_rad = Some([[0.001, 0.002, 0.003], [0.004, -0.002, 0.006]].map(Vector3::from));
+        known.last_camera_from_world = Some(last);
+        // ω̄ + r (Δ - Δ̄); σ² = (7.3e-5 - 2.5e-5) / 36 = (1/866)²
+        let expected = Vector3::new(0.001 + 0.003, 0.002 + 0.002, 0.003 - 0.005);
+        for (any_rad, sigma) in [(0.01, (4.8e-5f64 / 36.0).sqrt()), (0.0005, 0.0005)] {
+            let (turn, found) = known.expected(&frame, any_rad);
+            assert!((turn - expected).norm() < 1e-12, "{turn}");
+            assert!((found - sigma).abs() < 1e-12, "{found}");
+        }
+        let corrected = known.corrected(Vector3::new(0.01, 0.02, 0.03));
+        assert!(
+            (corrected - Vector3::new(0.011, 0.017, 0.03)).norm() < 1e-12,
+            "{corrected}"
+        );
+        let mut global = known.clone();
+        global.products_rad2[1] = 2e-5;
+        assert_eq!(
+            global.expected(&frame, 0.01).0,
+            Vector3::zeros(),
+            "a global one"
+        );
+        assert_eq!(global.corrected(since), Vector3::zeros(), "a global one");
+    }
+
+    /// A frame whose keypoints were recorded during a turn.
+    #[test]
+    fn the_turn_is_estimated_from_thirty_links() {
+        let turn_rad = Vector3::new(0.004, -0.006, 0.005);
+        let rolling = RollingShutter { turn_rad };
+        for (links, sigma_rad, estimated) in [(30, 0.02, true), (29, 0.02, false), (70, 0.0, false)]
+        {
+            let mut config = Config::default();
+            config.tracking.shutter_sigma_rad = sigma_rad;
+            let mut world = World::with_camera(uneven_camera(), config);
+            let seen = world.see(0, &cloud(), &Se3::identity());
+            let made = world.remember(seen, &cloud());
+            let mut frame = world.see(1, &cloud(), &Se3::identity());
+            frame.sigma_px.fill(0.01);
+            for i in 0..70 {
+                // Spread over the image.
+                frame.landmark[13 * i % 70] = Some(made[13 * i % 70]).filter(|_| i < links);
+                frame.px[i] = rolling.recorded_pixel(&uneven_camera(), &frame.uv_px[i]);
+            }
+            let before = frame.clone();
+            let context = &world.context;
+            let found = estimate_shutter(context, &world.map, &mut frame, &ShutterModel::new());
+            assert_eq!(
+                found.is_some(),
+                estimated,
+                "{links} links, σ = {sigma_rad} rad"
+            );
+            let off = found.map_or(0.0, |found| (found - turn_rad).norm());
+            assert!(off < 1e-4, "{found:?}");
+            assert_eq!(
+                frame.camera_from_world, before.camera_from_world,
+                "still a global one"
+            );
+            assert_eq!(
+                (frame.uv_px.as_slice(), frame.shutter),
+                (before.uv_px.as_slice(), before.shutter),
+                "and keypoints"
+            );
+
+            let mut known = model([3e-5, 5e-5, 1e-4], 12);
+            known.means_rad =
+                Some([[0.001, 0.002, 0.003], [0.004, -0.002, 0.006]].map(Vector3::from));
+            let found = estimate_shutter(context, &world.map, &mut frame, &known);
+            let used = found.map_or(before.shutter.turn_rad, |found| known.corrected(found));
+            assert_eq!(frame.shutter.turn_rad, used, "a rolling one");
+            assert_eq!(
+                frame.uv_px != before.uv_px,
+                estimated,
+                "keypoints move to the middle row"
+            );
+        }
     }
 }
