@@ -175,12 +175,12 @@ fn point_of_pair(
 
 #[cfg(test)]
 mod tests {
-    use garad_core::{DepthImage, Label, Se3, So3};
+    use garad_core::{Camera, DepthImage, Label, Se3, So3};
     use garad_features::Descriptor;
 
     use super::*;
     use crate::config::Config;
-    use crate::testing::{World, keypoints};
+    use crate::testing::{World, keypoints, turned};
     use crate::tracking::observation::link_observation;
 
     /// Pixels of the first camera, whole ones, whose rays meet far points in the second, a whole number of pixels beside.
@@ -218,6 +218,191 @@ mod tests {
     fn made(world: &mut World, id: KeyframeId) -> Vec<LandmarkId> {
         let World { context, map, .. } = world;
         two_view_landmarks(context, map, id)
+    }
+
+    /// A frame without depth and its keypoints at these positions, of level 0 and with these descriptors.
+    fn frame_at(world: &World, id: u32, at: &[[f64; 2]], descriptors: &[Descriptor]) -> Frame {
+        let (width, height) = (world.context.camera.width, world.context.camera.height);
+        let depth = DepthImage::new(width, height, 0.0);
+        let pixels = at.iter().map(|p| p.map(|c| c.round() as usize));
+        let mut frame = world.frame_of(id, &keypoints(pixels), &depth);
+        frame.descriptors = descriptors.to_vec();
+        frame.px = at.iter().map(|[x, y]| Vector2::new(*x, *y)).collect();
+        frame.set_shutter(garad_core::RollingShutter::global(), &world.context.camera);
+        frame
+    }
+
+    fn bits(count: u32) -> Descriptor {
+        Descriptor([(1 << count) - 1, 0, 0, 0])
+    }
+
+    /// Points in front of a camera that turns and moves by 0.9 m; in the older view they come in another order.
+    #[test]
+    fn points_are_where_turned_cameras_see_them() {
+        let camera = Camera::pinhole((160, 120), [120.0, 110.0, 78.5, 60.5]).expect("valid");
+        let mut world = World::with_camera(camera, Config::default());
+        let by = Se3::new(
+            So3::exp(&Vector3::new(0.02, -0.06, 0.1)),
+            Vector3::new(0.9, 0.1, 0.05),
+        );
+        let poses = [turned(2), by * turned(2)];
+        let points = [[-1.0, 0.9, 9.0], [0.5, -1.2, 8.0], [1.5, 0.4, 11.0]]
+            .map(|p| turned(2).inverse() * Vector3::from(p));
+        let look = |k: usize, order: [usize; 3]| -> (Vec<[f64; 2]>, Vec<Descriptor>) {
+            let at = order.map(|i| {
+                <[f64; 2]>::from(camera.project(&(poses[k] * points[i])).expect("in front"))
+            });
+            let descriptors = order.map(|i| Descriptor([u64::MAX << (20 * i), i as u64, 0, 0]));
+            (at.to_vec(), descriptors.to_vec())
+        };
+        for (k, order) in [(0, [2, 0, 1]), (1, [0, 1, 2])] {
+            let (at, descriptors) = look(k, order);
+            let mut frame = frame_at(&world, 0, &at, &descriptors);
+            frame.camera_from_world = poses[k];
+            world.map.add_keyframe(frame);
+        }
+        let World { context, map, .. } = &world;
+        let pairs = pairs(
+            context,
+            map.keyframe(KeyframeId(1)),
+            map.keyframe(KeyframeId(0)),
+        );
+        let found: Vec<_> = pairs.iter().map(|(i, j, _)| (*i, *j)).collect();
+        assert_eq!(found, [(0, 1), (1, 2), (2, 0)], "newest, older");
+        for (i, _, point) in pairs {
+            let off = (point.p_world - points[i]).norm();
+            assert!(off < 1e-6, "point {i}: {off} m");
+        }
+    }
+
+    #[test]
+    fn both_views_observe_the_landmark_with_their_own_keypoints() {
+        let (mut world, _) = two_keyframes(1.0, 10, 0);
+        let places = [[70, 60], [30, 30], [20, 100]];
+        let mut third = world.frame_of(2, &keypoints(places), &DepthImage::new(160, 120, 0.0));
+        third.camera_from_world = world.map.keyframe(KeyframeId(1)).camera_from_world;
+        for (i, like) in [1, 0, 3].into_iter().enumerate() {
+            third.descriptors[i] = world.map.keyframe(KeyframeId(0)).descriptors[like];
+        }
+        third.landmark[2] = Some(LandmarkId(0));
+        let third = world.map.add_keyframe(third);
+        // Keyframe 1 sees the same from the same place: no inverse depth, no landmark.
+        let ids = made(&mut world, third);
+        assert_eq!(ids, [1, 2].map(LandmarkId));
+        assert_eq!(world.observers(1), [(0, 1), (2, 0)]);
+        assert_eq!(world.observers(2), [(0, 0), (2, 1)]);
+        let landmark = world.map.landmark(LandmarkId(1)).expect("made");
+        let cameras = [0, 2].map(|k| world.map.keyframe(KeyframeId(k)).center());
+        let views = cameras.map(|c| (landmark.p_world - c).normalize());
+        let mean = (views[0] + views[1]).normalize();
+        assert!(
+            (landmark.view_direction - mean).norm() < 1e-12,
+            "of both views"
+        );
+    }
+
+    /// The image of the ray of (150, 60) leads from there, infinity, to (30, 60), 1 m. At level 1 and with
+    /// `radius_px` 2.5 what lies 3 px beside is searched. Every keypoint of the second view: where, its level,
+    /// and bits that differ.
+    #[test]
+    fn a_match_is_searched_along_the_ray() {
+        type Seen = [([f64; 2], u8, u32)];
+        let far = [140.0, 60.0];
+        let cases: [(&str, &Seen, Option<usize>); 20] = [
+            ("nothing there", &[], None),
+            ("on the ray", &[(far, 1, 0)], Some(0)),
+            ("2.9 px above", &[([80.0, 57.1], 1, 0)], Some(0)),
+            ("3.1 px below", &[([80.0, 63.1], 1, 0)], None),
+            ("2.9 px beyond infinity", &[([152.9, 60.0], 1, 0)], Some(0)),
+            ("3.1 px beyond infinity", &[([153.1, 60.0], 1, 0)], None),
+            ("2.9 px nearer than 1 m", &[([27.1, 60.0], 1, 0)], Some(0)),
+            ("3.1 px nearer than 1 m", &[([26.9, 60.0], 1, 0)], None),
+            ("beyond the corner", &[([152.5, 62.5], 1, 0)], None),
+            ("a level finer", &[(far, 0, 0)], Some(0)),
+            ("a level coarser", &[(far, 2, 0)], Some(0)),
+            ("two levels coarser", &[(far, 3, 0)], None),
+            ("30 bits differ", &[(far, 1, 30)], Some(0)),
+            ("31 bits differ", &[(far, 1, 31)], None),
+            ("the better one", &[(far, 1, 24), (far, 1, 9)], Some(1)),
+            ("just clear", &[(far, 1, 15), (far, 1, 20)], Some(0)),
+            ("not clear", &[(far, 1, 15), (far, 1, 19)], None),
+            (
+                "a worse one elsewhere",
+                &[(far, 1, 15), ([80.0, 70.0], 1, 15)],
+                Some(0),
+            ),
+            (
+                "the second best is listed last",
+                &[(far, 1, 8), (far, 1, 30), (far, 1, 9)],
+                None,
+            ),
+            ("equals are not clear", &[(far, 1, 9), (far, 1, 9)], None),
+        ];
+        let setting = |k: f64| {
+            let mut config = Config::default();
+            (config.two_view.radius_px, config.two_view.match_distance) = (2.5, 30);
+            config.tracking.local_ratio = 0.75;
+            let world = World::new(config);
+            let mut first = frame_at(&world, 1, &[[150.0, 60.0]], &[bits(0)]);
+            first.keypoints[0].level = 1;
+            let pose = Se3::new(So3::identity(), Vector3::new(-k, 0.0, 0.0));
+            (world, first, pose)
+        };
+        let search = |baseline_m: f64, seen: &Seen, change: &dyn Fn(&mut Frame, &mut Vec<bool>)| {
+            let (world, first, pose) = setting(baseline_m);
+            let at: Vec<_> = seen.iter().map(|s| s.0).collect();
+            let descriptors: Vec<_> = seen.iter().map(|s| bits(s.2)).collect();
+            let mut second = frame_at(&world, 0, &at, &descriptors);
+            second.camera_from_world = pose;
+            for (keypoint, seen) in second.keypoints.iter_mut().zip(seen) {
+                keypoint.level = seen.1;
+            }
+            let mut taken = vec![false; seen.len()];
+            change(&mut second, &mut taken);
+            search_along_ray(&world.context, &first, 0, &second, &taken)
+        };
+        for (what, seen, expected) in cases {
+            assert_eq!(search(1.0, seen, &|_, _| ()), expected, "{what}");
+        }
+        let one: &Seen = &[(far, 1, 0)];
+        assert_eq!(search(1.06, one, &|_, _| ()), Some(0), "127.2 px of ray");
+        assert_eq!(search(1.08, one, &|_, _| ()), None, "129.6 px of ray");
+        let changes: [(&str, &dyn Fn(&mut Frame, &mut Vec<bool>)); 4] = [
+            ("in another pair", &|_, taken| taken[0] = true),
+            ("not in use", &|frame, _| frame.in_use[0] = false),
+            ("has a landmark", &|frame, _| {
+                frame.landmark[0] = Some(LandmarkId(0))
+            }),
+            ("has depth", &|frame, _| frame.depth_m[0] = Some(3.0)),
+        ];
+        for (what, change) in changes {
+            assert_eq!(search(1.0, one, change), None, "{what}");
+        }
+    }
+
+    /// Settings: so many neighbours; σ of inverse depth (n σ_ρ are n √2 px of shift); the gate of 5.991 at
+    /// (Δ/2)² for Δ rows between the views once the search reaches as far.
+    #[test]
+    fn gates_of_a_pair_are_settings() {
+        for (sigmas, radius_px, neighbours, shift, rows, expected) in [
+            (2.0, 2.0, 10, 2, 0, 0),
+            (2.0, 2.0, 10, 3, 0, 3),
+            (7.0, 2.0, 10, 9, 0, 0),
+            (7.0, 2.0, 10, 10, 0, 3),
+            (2.0, 6.0, 1, 10, 4, 3),
+            (2.0, 6.0, 1, 10, 5, 0),
+            (2.0, 2.0, 0, 10, 0, 0),
+        ] {
+            let (mut world, second) = two_keyframes(1.0, shift, rows);
+            let config = &mut world.context.config.two_view;
+            config.min_inverse_depth_sigmas = sigmas;
+            (config.radius_px, config.neighbours) = (radius_px, neighbours);
+            let made = made(&mut world, second).len();
+            assert_eq!(
+                made, expected,
+                "{sigmas} sigmas, {radius_px} px, {shift} px, {rows} rows"
+            );
+        }
     }
 
     /// f b / shift = 120 px * 1 m / 10 px = 12 m.
