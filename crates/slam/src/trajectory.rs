@@ -149,7 +149,7 @@ mod tests {
             let measured = trajectory.measured(0, &world.map, &CONFIG);
             let expected = most_likely_path(&measured, &CONFIG);
             for ((pose, tracked), expected) in path.iter().zip(&tracked).zip(expected) {
-                assert_eq!(pose.t_s, tracked.t_s);
+                assert_eq!(pose.t_s.to_bits(), tracked.t_s.to_bits());
                 assert_eq!(pose.world_from_camera, expected.inverse());
                 let off = apart(&pose.world_from_camera, &tracked.world_from_camera);
                 assert_eq!(off > 1e-3, smoothed, "{information}: {off}");

@@ -224,8 +224,8 @@ mod tests {
     fn frame_at(world: &World, id: u32, at: &[[f64; 2]], descriptors: &[Descriptor]) -> Frame {
         let (width, height) = (world.context.camera.width, world.context.camera.height);
         let depth = DepthImage::new(width, height, 0.0);
-        let pixels = at.iter().map(|p| p.map(|c| c.round() as usize));
-        let mut frame = world.frame_of(id, &keypoints(pixels), &depth);
+        let anywhere = keypoints(at.iter().map(|_| [80, 60]));
+        let mut frame = world.frame_of(id, &anywhere, &depth);
         frame.descriptors = descriptors.to_vec();
         frame.px = at.iter().map(|[x, y]| Vector2::new(*x, *y)).collect();
         frame.set_shutter(garad_core::RollingShutter::global(), &world.context.camera);
@@ -307,6 +307,7 @@ mod tests {
     #[test]
     fn a_match_is_searched_along_the_ray() {
         type Seen = [([f64; 2], u8, u32)];
+        type Change = dyn Fn(&mut Frame, &mut Vec<bool>);
         let far = [140.0, 60.0];
         let cases: [(&str, &Seen, Option<usize>); 20] = [
             ("nothing there", &[], None),
@@ -348,7 +349,7 @@ mod tests {
             let pose = Se3::new(So3::identity(), Vector3::new(-k, 0.0, 0.0));
             (world, first, pose)
         };
-        let search = |baseline_m: f64, seen: &Seen, change: &dyn Fn(&mut Frame, &mut Vec<bool>)| {
+        let search = |baseline_m: f64, seen: &Seen, change: &Change| {
             let (world, first, pose) = setting(baseline_m);
             let at: Vec<_> = seen.iter().map(|s| s.0).collect();
             let descriptors: Vec<_> = seen.iter().map(|s| bits(s.2)).collect();
@@ -367,7 +368,7 @@ mod tests {
         let one: &Seen = &[(far, 1, 0)];
         assert_eq!(search(1.06, one, &|_, _| ()), Some(0), "127.2 px of ray");
         assert_eq!(search(1.08, one, &|_, _| ()), None, "129.6 px of ray");
-        let changes: [(&str, &dyn Fn(&mut Frame, &mut Vec<bool>)); 4] = [
+        let changes: [(&str, &Change); 4] = [
             ("in another pair", &|_, taken| taken[0] = true),
             ("not in use", &|frame, _| frame.in_use[0] = false),
             ("has a landmark", &|frame, _| {

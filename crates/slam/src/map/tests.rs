@@ -256,7 +256,7 @@ fn what_follows_from_observations_is_recomputed() {
     let sum = views[0] + views[1] + views[2];
     assert!((landmark.view_direction - sum.normalize()).norm() < 1e-14);
     let farthest = p_world.norm() * 1.44; // keyframe 0 stands at the origin and saw it at level 2
-    let nearest = farthest / 1.2f64.powi(7);
+    let nearest = farthest / context.scales[7];
     let (low, high) = landmark.distance_m;
     assert!(
         (high - farthest).abs() < 1e-12 && (low - nearest).abs() < 1e-12,

@@ -59,11 +59,13 @@ fn landmarks_are_made_of_the_near_and_at_least_of_the_nearest() {
     }
 }
 
+type Recent<'a> = (u32, u32, u32, &'a [u32], bool, bool);
+
 /// (born, visible, found, observers, kept, still recent) at keyframe 6, where half of the sightings and
 /// three observers are needed.
 #[test]
 fn landmarks_that_are_not_confirmed_are_dropped() {
-    let cases: [(u32, u32, u32, &[u32], bool, bool); 9] = [
+    let cases: [Recent; 9] = [
         (5, 8, 4, &[5], true, true),
         (5, 9, 4, &[5], false, false), // rarely found
         (5, 1, 1, &[5], true, true),   // a keyframe old: not to be confirmed yet
@@ -89,7 +91,7 @@ fn landmarks_that_are_not_confirmed_are_dropped() {
     let mut recent: Vec<_> = (0..9).map(LandmarkId).collect();
     drop_weak_landmarks(context, map, &mut recent, KeyframeId(6));
     let left: Vec<_> = map.landmarks().map(|(id, _)| id.0).collect();
-    let expect = |what: fn(&(u32, u32, u32, &[u32], bool, bool)) -> bool| -> Vec<u32> {
+    let expect = |what: fn(&Recent) -> bool| -> Vec<u32> {
         let all = (0..8).filter(|i| what(&cases[*i as usize]));
         all.collect()
     };

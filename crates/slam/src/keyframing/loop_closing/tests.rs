@@ -242,13 +242,12 @@ fn plausible_drift_is_a_setting_and_counts_from_the_older_end() {
     let mut world = drifted(Se3::identity());
     let loops = &mut world.context.config.loops;
     (loops.max_drift, loops.max_drift_floor_m) = (0.1, 0.1);
-    let chord = 2.0 * 0.1 / (std::f64::consts::TAU / 48.0) * (std::f64::consts::TAU / 48.0).sin();
-    let limit_m = 0.1 + 0.1 * 12.0 * chord;
+    let (limit_m, limit_rad) = (0.339_315, 0.135_830);
     for (x, turn_rad, expected) in [
         (0.99 * limit_m, 0.0, true),
         (1.01 * limit_m, 0.0, false),
-        (0.0, 0.99 * 2.0 * (limit_m / 5.0).asin(), true),
-        (0.0, 1.01 * 2.0 * (limit_m / 5.0).asin(), false),
+        (0.0, 0.99 * limit_rad, true),
+        (0.0, 1.01 * limit_rad, false),
     ] {
         let mut seen = world.map.keyframe(KeyframeId(16)).clone();
         let turn = So3::exp(&Vector3::new(0.0, turn_rad, 0.0));
@@ -400,7 +399,7 @@ fn lap(config: Config) -> (World, PlaceIndex) {
             *descriptor = Descriptor([0; 4].map(|_| rng.next_u64()));
         }
         let side = f64::from(k) * std::f64::consts::TAU / 12.0;
-        let out = Vector3::new(1.0 - side.cos(), 0.0, side.sin());
+        let out = So3::exp(&Vector3::new(0.0, side, 0.0)) * Vector3::z() - Vector3::z();
         frame.camera_from_world = match k {
             12 => drift,
             _ => Se3::new(So3::identity(), out),
