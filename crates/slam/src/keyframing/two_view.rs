@@ -381,6 +381,28 @@ mod tests {
         }
     }
 
+    /// (0.5, 0.2, 12) m seen from the origin and from (1, 0, 3) m: z/σ_z is 9.3 in the one camera and 7.0 in the other.
+    #[test]
+    fn inverse_depth_is_that_of_the_newest_camera() {
+        let mut world = World::new(Config::default());
+        let point = Vector3::new(0.5, 0.2, 12.0);
+        let views = [Vector3::zeros(), Vector3::new(1.0, 0.0, 3.0)].map(|centre| {
+            let at = world
+                .context
+                .camera
+                .project(&(point - centre))
+                .expect("in front");
+            let mut frame = frame_at(&world, 0, &[at.into()], &[bits(0)]);
+            frame.camera_from_world = Se3::new(So3::identity(), -centre);
+            frame
+        });
+        world.context.config.two_view.min_inverse_depth_sigmas = 8.0;
+        let found = [(0, 1), (1, 0)].map(|(newest, older)| {
+            point_of_pair(&world.context, (&views[newest], 0), (&views[older], 0)).is_some()
+        });
+        assert_eq!(found, [true, false], "12 m and 9 m away");
+    }
+
     /// Settings: so many neighbours; σ of inverse depth (n σ_ρ are n √2 px of shift); the gate of 5.991 at
     /// (Δ/2)² for Δ rows between the views once the search reaches as far.
     #[test]

@@ -294,9 +294,9 @@ mod tests {
         );
         assert_eq!(medoid(&[d(7)]), d(7), "alone");
         assert_eq!(medoid(&[d(0b11), d(0b1)]), d(0b11), "the first of equals");
-        // Distances 0 1 2 5, 0 1 3 4 and more: of four the second counts.
-        let four = [0b1_1111, 0b1, 0b11, 0];
-        assert_eq!(medoid(&four.map(d)), d(0b1), "1 bit from two others");
+        // Distances 0 1 4 6, 0 1 3 5, 0 2 3 4 and 0 2 5 6: of four the second counts.
+        let four = [0, 0b1, 0b1111, 0b11_1111];
+        assert_eq!(medoid(&four.map(d)), d(0), "1 bit from another");
         assert_eq!(medoid(&[]), Descriptor::default(), "none");
     }
 }
