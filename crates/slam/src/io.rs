@@ -162,3 +162,75 @@ pub enum SlamError {
         source: FeatureError,
     },
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The camera is 8 x 6 pixels; the first image of another size is named.
+    #[test]
+    fn images_must_have_the_cameras_size() {
+        let camera = Camera::pinhole((8, 6), [7.0, 7.5, 3.5, 2.5]).expect("valid");
+        let right = (8, 6);
+        for (rgb, depth, mask, wrong) in [
+            (right, right, None, None),
+            (right, right, Some(right), None),
+            ((6, 8), right, None, Some(("colour", (6, 8)))),
+            ((8, 5), (9, 6), Some((1, 1)), Some(("colour", (8, 5)))),
+            (right, (7, 6), None, Some(("depth", (7, 6)))),
+            (right, (8, 7), Some(right), Some(("depth", (8, 7)))),
+            (right, right, Some((2, 2)), Some(("mask", (2, 2)))),
+        ] {
+            let rgb = RgbImage::new(rgb.0, rgb.1, [0; 3]);
+            let depth = DepthImage::new(depth.0, depth.1, 1.0);
+            let mask = mask.map(|(w, h)| MaskImage::new(w, h, 0));
+            let input = FrameInput {
+                t_s: 0.5,
+                depth_t_s: 0.6,
+                rgb: &rgb,
+                depth: &depth,
+                mask: mask.as_ref(),
+            };
+            let found = match input.check_sizes(FrameId(7), &camera) {
+                Ok(()) => None,
+                Err(SlamError::SizeMismatch {
+                    frame: FrameId(7),
+                    what,
+                    got,
+                    expected: (8, 6),
+                }) => Some((what, got)),
+                Err(other) => panic!("{other}"),
+            };
+            assert_eq!(found, wrong);
+        }
+    }
+
+    #[test]
+    fn states_have_the_words_of_reports() {
+        use TrackingState::{Lost, NotInitialised, Tracking};
+        let words = [NotInitialised, Tracking, Lost].map(TrackingState::name);
+        assert_eq!(words, ["not initialised", "tracking", "lost"]);
+    }
+
+    /// 10 x 6 pixels are 3 x 2 cells of 4 pixels; those at the right and at the bottom are cut off.
+    #[test]
+    fn a_mask_has_the_size_of_the_image() {
+        let labelled = LabelledFrame {
+            frame: FrameId(3),
+            keypoints: Vec::new(),
+            cells: MaskImage::from_fn(3, 2, |x, y| {
+                if (x, y) == (2, 0) || (x, y) == (0, 1) {
+                    255
+                } else {
+                    0
+                }
+            }),
+        };
+        let mask = labelled.mask((10, 6));
+        let expected = MaskImage::from_fn(10, 6, |x, y| match (x, y) {
+            (8.., 0..4) | (0..4, 4..) => 255,
+            _ => 0,
+        });
+        assert_eq!(mask, expected);
+    }
+}

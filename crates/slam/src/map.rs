@@ -375,17 +375,4 @@ fn unit(v: Vector3<f64>) -> Vector3<f64> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn counts_are_ordered_as_stated() {
-        let counts = [(0, 5), (1, 9), (2, 5)].map(|(k, n)| (KeyframeId(k), n));
-        let order = by_count(&BTreeMap::from(counts));
-        assert_eq!(
-            order,
-            [1, 2, 0].map(KeyframeId),
-            "most first, then youngest"
-        );
-    }
-}
+mod tests;

@@ -367,7 +367,7 @@ impl Slam {
         }
     }
 
-    fn becomes_keyframe(&mut self, frame: &Frame, inliers: usize) -> bool {
+    pub(crate) fn becomes_keyframe(&mut self, frame: &Frame, inliers: usize) -> bool {
         let (map, most) = (&self.map, &mut self.keyframing.most_inliers);
         *most = inliers.max(*most);
         let becomes = !self.localising

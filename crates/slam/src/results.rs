@@ -157,3 +157,105 @@ impl Slam {
         self.context.rng_seed
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use garad_core::{FrameId, Par};
+    use nalgebra::Matrix6;
+
+    use super::*;
+    use crate::frame::PoseInformation;
+    use crate::keyframing::loop_closing::LoopClosure;
+    use crate::testing::{World, apart, turned};
+
+    /// A run of three frames, each a keyframe, at the poses of [`turned`].
+    fn run(method: TrackingMethod) -> Slam {
+        let mut config = Config::default();
+        config.tracking.method = method;
+        let world = World::observing(Config::default(), 3, &[&[0, 1, 2]]);
+        let mut slam = Slam::new(world.context.camera, config, 77, Par::Seq).expect("valid");
+        for k in 0..3 {
+            let mut frame = world.map.keyframe(garad_core::KeyframeId(k)).clone();
+            frame.information = PoseInformation {
+                matrix: Matrix6::identity(),
+                links: 9,
+            };
+            let id = slam.map.add_keyframe(frame.clone());
+            slam.trajectory.push(&frame, id, &slam.map);
+        }
+        slam
+    }
+
+    /// Features: the most likely path; poses found by rendering stay as they are.
+    #[test]
+    fn a_path_is_the_inverse_of_the_poses() {
+        for (method, as_tracked) in [
+            (TrackingMethod::Features, false),
+            (TrackingMethod::Render, true),
+        ] {
+            let slam = run(method);
+            let (path, keyframes) = (slam.trajectory(), slam.keyframe_trajectory());
+            assert_eq!((path.len(), keyframes.len()), (3, 3));
+            for (k, (pose, keyframe)) in (0..3).zip(path.iter().zip(&keyframes)) {
+                let t_s = f64::from(10 * k) / 30.0;
+                assert!(
+                    (pose.t_s - t_s).abs() < 1e-12 && (keyframe.t_s - t_s).abs() < 1e-12,
+                    "{k}"
+                );
+                assert_eq!(
+                    keyframe.world_from_camera,
+                    turned(k).inverse(),
+                    "keyframe {k}"
+                );
+                let off = apart(&pose.world_from_camera, &turned(k).inverse());
+                assert_eq!(off < 1e-12, as_tracked, "{method:?}, frame {k}: {off}");
+            }
+        }
+    }
+
+    /// What was tracked and mapped comes together, by frame; each record once.
+    #[test]
+    fn a_trace_is_in_the_order_of_the_frames() {
+        let mut slam = run(TrackingMethod::Features).with_trace(2..=9);
+        let record = |recorder: &mut crate::trace::Recorder, frame: u32, stage: &'static str| {
+            recorder.begin_frame(FrameId(frame));
+            recorder.record(stage, |record| record.output("x", "m", &[1], vec![1.0]));
+        };
+        for (frame, stage) in [
+            (1, "before"),
+            (3, "a"),
+            (2, "b"),
+            (3, "c"),
+            (9, "d"),
+            (10, "after"),
+        ] {
+            record(&mut slam.recorder, frame, stage);
+        }
+        let stages: Vec<_> = slam
+            .take_trace()
+            .iter()
+            .map(|r| (r.frame.0, r.stage))
+            .collect();
+        assert_eq!(stages, [(2, "b"), (3, "a"), (3, "c"), (9, "d")]);
+        assert!(slam.take_trace().is_empty(), "taken");
+    }
+
+    #[test]
+    fn a_run_tells_what_it_was_given_and_what_it_found() {
+        let mut slam = run(TrackingMethod::Features);
+        assert_eq!(slam.seed(), 77);
+        assert_eq!((slam.camera().width, slam.camera().height), (160, 120));
+        assert_eq!(slam.config(), &Config::default());
+        assert_eq!(slam.map().keyframes().len(), 3);
+        let gaussians = slam.gaussians().expect("at rest");
+        assert!(slam.mapped().is_empty() && slam.last_frame().is_none() && gaussians.is_empty());
+        let closure = LoopClosure {
+            keyframe: garad_core::KeyframeId(2),
+            older: garad_core::KeyframeId(0),
+            inliers: 41,
+            drift_m: 0.3,
+        };
+        slam.keyframing.loops.push(closure);
+        assert_eq!(slam.loops(), [closure]);
+    }
+}

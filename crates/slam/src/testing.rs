@@ -2,8 +2,9 @@
 
 use garad_core::{
     Camera, DepthImage, FrameId, GrayImage, KeyframeId, Label, LandmarkId, MaskImage, Par, Real,
-    Rng, Se3,
+    Rng, Se3, So3,
 };
+use garad_crf::LabelWindowConfig;
 use garad_features::{Descriptor, Keypoint, LkPyramid};
 use nalgebra::{Vector2, Vector3};
 
@@ -61,6 +62,47 @@ impl World {
             world.map.add_keyframe(seen);
         }
         (world, made)
+    }
+
+    /// Keyframes at the poses of [`turned`], frames 0, 10, 20, ..., and landmarks, each given by its
+    /// observers, first the one that makes it. Landmark i is keypoint i everywhere; it lies where its first
+    /// observer sees it.
+    pub(crate) fn observing(config: Config, keyframes: u32, landmarks: &[&[u32]]) -> Self {
+        let camera = Camera::pinhole((160, 120), [120.0, 110.0, 78.5, 60.5]).expect("valid");
+        let mut world = Self::with_camera(camera, config);
+        let (depth, points) = (wall(), places().into_iter().take(landmarks.len()));
+        let points = keypoints(points);
+        for k in 0..keyframes {
+            let mut frame = world.frame_of(10 * k, &points, &depth);
+            frame.camera_from_world = turned(k);
+            world.map.add_keyframe(frame);
+        }
+        let World { context, map, .. } = &mut world;
+        for (i, observers) in landmarks.iter().enumerate() {
+            let first = KeyframeId(observers[0]);
+            let p_world = map.keyframe(first).world_point(i, &context.camera);
+            let p_world = p_world.expect("on the wall");
+            let id = map.add_landmark(p_world, first, i, &context.scales);
+            for k in &observers[1..] {
+                map.add_observation(id, KeyframeId(*k), i);
+            }
+            map.refresh(id, &context.scales);
+        }
+        world
+    }
+
+    /// A landmark is dynamic from now on.
+    pub(crate) fn set_dynamic(&mut self, landmark: u32) {
+        let landmark = self.map.landmark_mut(LandmarkId(landmark));
+        let landmark = landmark.expect("a landmark of the map");
+        landmark.push_label(Label::Dynamic, &LabelWindowConfig::default());
+    }
+
+    /// Who observes a landmark with which keypoint; nobody if it was dropped.
+    pub(crate) fn observers(&self, landmark: u32) -> Vec<(u32, usize)> {
+        let landmark = self.map.landmark(LandmarkId(landmark));
+        let observations = landmark.map(|l| l.observations.iter());
+        observations.map_or(Vec::new(), |o| o.map(|(k, i)| (k.0, *i)).collect())
     }
 
     /// A frame with a keypoint at each of [`places`].
@@ -163,6 +205,23 @@ impl World {
         frame.apply_labels(&labels, &context.camera);
         Some(labels.cells)
     }
+}
+
+/// camera_from_world of keyframe k: about another axis each, so that no two of them commute.
+pub(crate) fn turned(k: u32) -> Se3 {
+    let k = f64::from(k);
+    Se3::new(
+        So3::exp(&Vector3::new(0.11 * k, 0.03 * k * k, -0.05 * k)),
+        Vector3::new(0.2 * k, -0.1 * k * k, 0.07 * k),
+    )
+}
+
+/// Farthest that two poses take a point of a cube of 2 m apart, metres.
+pub(crate) fn apart(a: &Se3, b: &Se3) -> f64 {
+    let corners =
+        (0..8).map(|i| Vector3::from([0, 1, 2].map(|bit| 1.0 - f64::from(i >> bit & 1) * 2.0)));
+    let apart = corners.map(|p| (*a * p - *b * p).norm());
+    apart.fold(0.0, f64::max)
 }
 
 /// Keypoints of level 0 at these pixels.

@@ -11,6 +11,7 @@ use garad_core::{DepthImage, GaussianMap, Par, RgbImage, StampedPose};
 use garad_eval::{AteOptions, ate};
 use garad_slam::LabelledFrame;
 use garad_slam::map::Map;
+use garad_slam::mapping::job::MappingDone;
 use garad_slam::session::SectionReader;
 use garad_slam::{Config, FrameReport, SessionError, Slam, TrackingState};
 use garad_synth::{Scene, SceneConfig, SceneName, SynthFrame};
@@ -65,7 +66,7 @@ fn config() -> Config {
     config
 }
 
-/// Everything a run says.
+/// Everything a run says, and its whole state, before and after the final training.
 #[derive(Debug, PartialEq)]
 struct Outcome {
     reports: Vec<FrameReport>,
@@ -73,7 +74,8 @@ struct Outcome {
     path: Vec<StampedPose>,
     keyframes: Vec<StampedPose>,
     gaussians: GaussianMap,
-    inserted: usize,
+    mapped: Vec<MappingDone>,
+    states: [Vec<u8>; 2],
 }
 
 #[derive(Debug, Default)]
@@ -93,6 +95,7 @@ impl Outputs {
 
     fn end(mut self, mut slam: Slam) -> Outcome {
         self.go_on(&mut slam, FRAMES);
+        let state = saved(&mut slam);
         slam.train_final(&mut |_| ()).expect("trains");
         Outcome {
             reports: self.reports,
@@ -100,7 +103,8 @@ impl Outputs {
             path: slam.trajectory(),
             keyframes: slam.keyframe_trajectory(),
             gaussians: slam.gaussians().expect("at rest").clone(),
-            inserted: slam.mapped().iter().map(|done| done.inserted).sum(),
+            mapped: slam.mapped().to_vec(),
+            states: [state, saved(&mut slam)],
         }
     }
 }
@@ -146,11 +150,11 @@ fn the_scene_has_what_the_tests_are_about() {
         "a job under way at 17: {kept:?}"
     );
     assert!(run.labels[16].is_some(), "labels are on");
+    let inserted: usize = run.mapped.iter().map(|done| done.inserted).sum();
     assert!(
-        run.gaussians.len() > run.inserted,
-        "cloned or split: {} of {} inserted",
-        run.gaussians.len(),
-        run.inserted
+        run.gaussians.len() > inserted,
+        "cloned or split: {} of {inserted} inserted",
+        run.gaussians.len()
     );
     assert!(
         run.gaussians.sh_degree() > 0,

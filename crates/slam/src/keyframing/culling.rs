@@ -79,12 +79,12 @@ mod tests {
 
     use super::*;
     use crate::config::Config;
-    use crate::testing::{World, keypoints};
+    use crate::testing::{World, apart, keypoints, turned};
 
     const SIZE: (usize, usize) = (128, 96);
     const POINTS: u8 = 10;
 
-    /// Keyframes a centimetre apart; the first makes ten landmarks 2 m ahead, and keyframe k observes
+    /// Keyframes at the poses of [`turned`]; the first makes ten landmarks 2 m ahead, and keyframe k observes
     /// those that `sees(k, i)` gives a level.
     fn world(keyframes: u32, sees: impl Fn(u32, u8) -> Option<u8>) -> World {
         let camera = Camera::pinhole(SIZE, [100.0, 100.0, 63.5, 47.5]).expect("valid camera");
@@ -96,7 +96,7 @@ mod tests {
                 point.level = sees(k, i).unwrap_or(0);
             }
             let mut frame = world.frame_of(k, &points, &depth);
-            frame.camera_from_world = at(0.01 * f64::from(k));
+            frame.camera_from_world = turned(k);
             let World { map, context, .. } = &mut world;
             let id = map.add_keyframe(frame);
             for i in 0..POINTS {
@@ -110,10 +110,6 @@ mod tests {
             }
         }
         world
-    }
-
-    fn at(x_m: f64) -> Se3 {
-        Se3::exp(&Vector6::new(-x_m, 0.0, 0.0, 0.0, 0.0, 0.0))
     }
 
     fn redundant(world: &World, id: u32) -> bool {
@@ -147,6 +143,80 @@ mod tests {
         );
     }
 
+    /// Every keyframe sees all ten, but for keyframe 3, which misses the last three, and one that is dynamic.
+    #[test]
+    fn how_many_must_be_seen_by_how_many_is_a_setting() {
+        let mut world = world(5, |k, i| (k != 3 || i < POINTS - 3).then_some(0));
+        for (dynamic, share, observers, expected) in [
+            (None, 0.9, 3, true), // 10 of 10 are seen by three of the four others
+            (None, 0.7, 4, true), // 7 of 10 by all four
+            (None, 0.71, 4, false),
+            (None, 0.1, 5, false),
+            (Some(9), 0.77, 4, true), // 7 of 9
+            (Some(9), 0.78, 4, false),
+            (Some(0), 0.75, 4, true), // 6 of 8
+            (Some(0), 0.76, 4, false),
+        ] {
+            if let Some(landmark) = dynamic {
+                world.set_dynamic(landmark);
+            }
+            let config = CullingConfig {
+                redundant_share: share,
+                observers,
+                ..CullingConfig::default()
+            };
+            let found = is_redundant(&world.map, KeyframeId(1), 6.0, &config);
+            assert_eq!(
+                found, expected,
+                "{share} by {observers}, without {dynamic:?}"
+            );
+        }
+    }
+
+    /// Near is nearer than the limit, by the keyframe's own depth; one that sees nothing near stays.
+    #[test]
+    fn what_is_near_is_decided_by_the_keyframes_own_depth() {
+        let mut world = world(4, |k, i| (k != 3 || i < POINTS / 2).then_some(0));
+        let keyframe = world.map.keyframe_mut(KeyframeId(1));
+        keyframe.depth_m[5..].fill(Some(3.5));
+        keyframe.depth_m[6] = None;
+        for (close_m, expected) in [
+            (1.5, false),
+            (2.0, false),
+            (2.1, true),
+            (3.5, true),
+            (3.6, false),
+        ] {
+            let found = is_redundant(
+                &world.map,
+                KeyframeId(1),
+                close_m,
+                &CullingConfig::default(),
+            );
+            assert_eq!(found, expected, "near is {close_m} m");
+        }
+    }
+
+    /// Of six with the same view all may go that still have three others. The first stays, and the newest.
+    #[test]
+    fn each_is_judged_by_what_those_before_it_have_left() {
+        for (keep_youngest, close_m, expected) in [
+            (1, 6.0, &[4, 3, 2][..]),
+            (2, 6.0, &[3, 2, 1]),
+            (3, 6.0, &[2, 1]),
+            (1, 1.9, &[]),
+        ] {
+            let mut world = world(6, |_, _| Some(0));
+            let config = &mut world.context.config;
+            config.culling.keep_youngest = keep_youngest;
+            config.keyframes.close_m = close_m;
+            let World { context, map, .. } = &mut world;
+            let culled = cull_keyframes(context, map, &[], KeyframeId(5));
+            let culled: Vec<_> = culled.iter().map(|k| k.0).collect();
+            assert_eq!(culled, expected, "{keep_youngest} youngest");
+        }
+    }
+
     #[test]
     fn a_culled_keyframe_follows_the_one_it_is_tied_to() {
         let mut world = world(5, |_, _| Some(0));
@@ -170,8 +240,8 @@ mod tests {
         world.map.follow_anchors();
         for (k, before) in [1, 3, 4].into_iter().zip(before) {
             let now = world.map.keyframe(id(k)).camera_from_world;
-            let off = (now * (before * motion).inverse()).log().norm();
-            assert!(off < 1e-14, "keyframe {k}: the world has moved: {off}");
+            let off = apart(&now, &(before * motion));
+            assert!(off < 1e-12, "keyframe {k}: the world has moved: {off}");
         }
     }
 
@@ -200,7 +270,8 @@ mod tests {
             drift_m: 0.1,
         }];
         let culled = cull_keyframes(&world.context, &mut world.map, &closed, KeyframeId(19));
-        assert_eq!(culled.len(), 7, "of twenty");
+        let order = [9, 8, 7, 6, 4, 3, 1].map(KeyframeId);
+        assert_eq!(culled, order, "of equals the youngest first");
         let left: Vec<_> = world.map.kept_ids().map(|k| k.0).collect();
         assert_eq!(
             left,

@@ -192,3 +192,6 @@ pub(crate) fn fuse_into(
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

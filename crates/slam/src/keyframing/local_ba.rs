@@ -6,13 +6,51 @@ use garad_core::{KeyframeId, LandmarkId};
 use garad_optim::{BundleConfig, BundleObservation, optimise_bundle};
 
 use super::two_view::update_covariance;
+use crate::config::LocalBaConfig;
 use crate::context::Context;
 use crate::map::{Map, by_count};
 use crate::trace::Recorder;
 use crate::tracking::observation::observation;
 
-/// Optimises a keyframe, its most covisible neighbours and every landmark they observe. Other
-/// keyframes that observe those landmarks hold the gauge; the first keyframe never moves.
+/// What a local bundle adjustment is about.
+#[derive(Debug, PartialEq)]
+struct Window {
+    /// Keyframes whose poses are found, the newest first.
+    free: Vec<KeyframeId>,
+    /// Keyframes that hold the gauge.
+    fixed: Vec<KeyframeId>,
+    landmarks: Vec<LandmarkId>,
+}
+
+impl Window {
+    /// A keyframe, its most covisible neighbours, but never the first keyframe, and every static landmark
+    /// they observe; fixed are the other keyframes that observe most of these landmarks.
+    fn new(map: &Map, newest: KeyframeId, config: &LocalBaConfig) -> Self {
+        let mut free: Vec<KeyframeId> = vec![newest];
+        let neighbours = by_count(&map.covisible(newest));
+        free.extend(
+            neighbours
+                .into_iter()
+                .take(config.max_free.saturating_sub(1)),
+        );
+        free.retain(|k| k.0 != 0);
+        let mut landmarks = map.observed_by(free.iter().copied());
+        landmarks.retain(|l| map.static_landmark(*l).is_some());
+        let mut others = map.observers(landmarks.iter().copied());
+        for k in &free {
+            others.remove(k);
+        }
+        let mut fixed = by_count(&others);
+        fixed.truncate(config.max_fixed);
+        Self {
+            free,
+            fixed,
+            landmarks,
+        }
+    }
+}
+
+/// Optimises a keyframe, its most covisible neighbours and every landmark they observe ([`Window`]).
 pub(crate) fn local_ba(
     context: &Context,
     map: &mut Map,
@@ -20,22 +58,11 @@ pub(crate) fn local_ba(
     recorder: &mut Recorder,
 ) {
     let config = &context.config.local_ba;
-    let mut free: Vec<KeyframeId> = vec![newest];
-    let neighbours = by_count(&map.covisible(newest));
-    free.extend(
-        neighbours
-            .into_iter()
-            .take(config.max_free.saturating_sub(1)),
-    );
-    free.retain(|k| k.0 != 0);
-    let mut landmarks = map.observed_by(free.iter().copied());
-    landmarks.retain(|l| map.static_landmark(*l).is_some());
-    let mut others = map.observers(landmarks.iter().copied());
-    for k in &free {
-        others.remove(k);
-    }
-    let mut fixed = by_count(&others);
-    fixed.truncate(config.max_fixed);
+    let Window {
+        free,
+        fixed,
+        landmarks,
+    } = Window::new(map, newest, config);
     let bundle = BundleConfig {
         iterations: config.iterations,
         ..BundleConfig::default()
@@ -127,7 +154,117 @@ pub(crate) fn adjust(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::World;
+    use crate::config::Config;
+    use crate::testing::{World, apart, turned};
+
+    /// Keyframe 6 shares 3 landmarks with 0, 2 with 4 and with 3, 1 with 2 and with 1.
+    const OBSERVERS: [&[u32]; 9] = [
+        &[0, 3, 4, 6],
+        &[0, 4, 6],
+        &[0, 2, 3, 6],
+        &[1, 6], // dynamic
+        &[1, 2, 3],
+        &[1, 5],
+        &[2, 4],
+        &[1, 4, 5],
+        &[3, 5],
+    ];
+
+    #[test]
+    fn the_newest_and_its_neighbours_are_free_and_other_observers_hold_them() {
+        let mut world = World::observing(Config::default(), 7, &OBSERVERS);
+        world.set_dynamic(3);
+        for (max_free, max_fixed, free, fixed, landmarks) in [
+            (1, 9, &[6][..], &[0, 4, 3, 2][..], &[0, 1, 2][..]),
+            (2, 9, &[6], &[0, 4, 3, 2], &[0, 1, 2]), // the first keyframe takes a place and is fixed
+            (3, 9, &[6, 4], &[0, 3, 2, 5, 1], &[0, 1, 2, 6, 7]),
+            (3, 4, &[6, 4], &[0, 3, 2, 5], &[0, 1, 2, 6, 7]),
+            (4, 2, &[6, 4, 3], &[2, 0], &[0, 1, 2, 4, 6, 7, 8]),
+            (4, 9, &[6, 4, 3], &[2, 0, 5, 1], &[0, 1, 2, 4, 6, 7, 8]),
+            (0, 1, &[6], &[0], &[0, 1, 2]),
+        ] {
+            let config = LocalBaConfig {
+                max_free,
+                max_fixed,
+                ..LocalBaConfig::default()
+            };
+            let expected = Window {
+                free: free.iter().map(|k| KeyframeId(*k)).collect(),
+                fixed: fixed.iter().map(|k| KeyframeId(*k)).collect(),
+                landmarks: landmarks.iter().map(|l| LandmarkId(*l)).collect(),
+            };
+            let window = Window::new(&world.map, KeyframeId(6), &config);
+            assert_eq!(window, expected, "{max_free} free, {max_fixed} fixed");
+        }
+    }
+
+    /// Three keyframes, each observing 40 points, and one culled, tied to the newest, which is 2 cm off.
+    fn displaced() -> World {
+        let mut config = Config::default();
+        config.local_ba.max_free = 1;
+        let all = vec![&[0, 1, 2, 3][..]; 40];
+        let mut world = World::observing(config, 4, &all);
+        let World { context, map, .. } = &mut world;
+        for k in [1, 2, 3] {
+            for i in 0..40 {
+                let frame = map.keyframe(KeyframeId(k));
+                let p_cam =
+                    frame.camera_from_world * map.landmark(LandmarkId(i)).expect("made").p_world;
+                let frame = map.keyframe_mut(KeyframeId(k));
+                frame.uv_px[i as usize] = context.camera.project(&p_cam).expect("in front");
+                frame.depth_m[i as usize] = Some(p_cam.z);
+            }
+        }
+        // Tied to the youngest of those that share as much.
+        assert!(map.cull(KeyframeId(1), &context.scales));
+        let newest = map.keyframe_mut(KeyframeId(3));
+        newest.camera_from_world.translation.x += 0.02;
+        map.follow_anchors();
+        world
+    }
+
+    #[test]
+    fn free_keyframes_and_landmarks_move_and_culled_ones_follow() {
+        let mut world = displaced();
+        let World { context, map, .. } = &mut world;
+        local_ba(context, map, KeyframeId(3), &mut Recorder::default());
+        let poses = map.keyframe_poses();
+        for k in [0, 2] {
+            assert_eq!(poses[k as usize], turned(k), "keyframe {k} is fixed");
+        }
+        for k in [1, 3] {
+            let off = apart(&poses[k as usize], &turned(k));
+            assert!(off < 1e-4, "keyframe {k} is {off} m off");
+        }
+        let before = map.landmark(LandmarkId(7)).expect("kept").p_world;
+        let mut again = displaced();
+        let World { context, map, .. } = &mut again;
+        context.config.local_ba.iterations = 0;
+        local_ba(context, map, KeyframeId(3), &mut Recorder::default());
+        let newest = map.keyframe_poses()[3];
+        assert!(apart(&newest, &turned(3)) > 0.019, "no iteration, no step");
+        let unmoved = map.landmark(LandmarkId(7)).expect("kept").p_world;
+        assert!(before != unmoved, "landmarks are adjusted, too");
+    }
+
+    #[test]
+    fn without_anything_free_or_fixed_nothing_moves() {
+        let (first, newest) = ([KeyframeId(0)], [KeyframeId(3)]);
+        let made = [LandmarkId(0)];
+        for (free, fixed, landmarks) in [
+            (&[][..], &first[..], &made[..]),
+            (&newest, &[], &made),
+            (&newest, &first, &[]),
+        ] {
+            let mut world = displaced();
+            let World { context, map, .. } = &mut world;
+            let before = map.keyframe_poses();
+            let bundle = BundleConfig::default();
+            let recorder = &mut Recorder::default();
+            adjust(context, map, free, fixed, landmarks, &bundle, recorder);
+            assert_eq!(map.keyframe_poses(), before);
+        }
+    }
 
     /// The last of three keyframes sees one of 300 points 30 px off.
     #[test]

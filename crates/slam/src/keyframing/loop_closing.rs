@@ -194,8 +194,7 @@ fn is_plausible(
         .all(|p| (tracked * *p - located * *p).norm() <= limit_m)
 }
 
-/// Spreads the error of the loop over all keyframes, and moves every landmark with the keyframe
-/// that made it. The edges of the graph:
+/// The keyframes' poses, of which the loop moves all but the first, and what is known of their motions:
 ///
 /// | between | relative pose | weight |
 /// |---|---|---|
@@ -204,20 +203,13 @@ fn is_plausible(
 /// | the two ends of this loop | as located | inliers |
 ///
 /// n landmarks seen at depth d constrain a relative pose with Ω ∝ n diag(1, 1, 1, d², d², d²).
-/// `false`, and nothing has moved, if the graph has no solution.
-fn correct_path(
-    context: &Context,
-    map: &mut Map,
-    closed: &[LoopClosure],
-    closure: &LoopClosure,
-    located: Se3,
-) -> bool {
+fn path_graph(map: &Map, closed: &[LoopClosure], closure: &LoopClosure, located: Se3) -> PoseGraph {
     let mut graph = PoseGraph::default();
     for (k, pose) in (0u32..).map(KeyframeId).zip(map.keyframe_poses()) {
         // Culled keyframes are in no edge, and follow afterwards.
         graph.add_pose(pose, k.0 == 0 || map.is_culled(k));
     }
-    let poses = graph.poses.clone();
+    let poses = map.keyframe_poses();
     let relative = |a: Se3, b: KeyframeId| a * poses[b.index()].inverse();
     let kept: Vec<_> = map.kept_ids().collect();
     for (i, &b) in kept.iter().enumerate() {
@@ -241,6 +233,20 @@ fn correct_path(
     graph
         .edges
         .push(edge(a, b, relative(located, b), closure.inliers));
+    graph
+}
+
+/// Spreads the error of the loop over all keyframes ([`path_graph`]), and moves every landmark with the
+/// keyframe that made it. `false`, and nothing has moved, if the graph has no solution.
+fn correct_path(
+    context: &Context,
+    map: &mut Map,
+    closed: &[LoopClosure],
+    closure: &LoopClosure,
+    located: Se3,
+) -> bool {
+    let mut graph = path_graph(map, closed, closure, located);
+    let before = map.keyframe_poses();
     let config = PoseGraphConfig {
         linear_solver: context.config.loops.linear_solver,
         ..PoseGraphConfig::default()
@@ -249,11 +255,11 @@ fn correct_path(
         Ok(_) if graph.poses.iter().all(Se3::is_finite) => {}
         _ => return false,
     }
-    for &k in &kept {
+    for k in map.kept_ids().collect::<Vec<_>>() {
         map.keyframe_mut(k).camera_from_world = graph.poses[k.index()];
     }
     map.follow_anchors();
-    let after_from_before = moved(&map.keyframe_poses(), &poses);
+    let after_from_before = moved(&map.keyframe_poses(), &before);
     for id in map.landmark_ids() {
         let landmark = map.landmark_mut(id).expect("listed");
         landmark.p_world = after_from_before[landmark.born.index()] * landmark.p_world;
@@ -330,159 +336,4 @@ fn edge(a: KeyframeId, b: KeyframeId, a_from_b: Se3, landmarks: usize) -> PoseEd
 }
 
 #[cfg(test)]
-mod tests {
-    use garad_core::{Camera, DepthImage, So3};
-
-    use super::*;
-    use crate::config::{Config, LinearSolver};
-    use crate::testing::{World, keypoints};
-
-    const SIZE: (usize, usize) = (64, 48);
-    const STEPS: u32 = 24;
-
-    /// A step along a circle of 24 steps, 4.8 m around: a turn of 15° and 0.2 m.
-    fn step() -> Se3 {
-        let turn = std::f64::consts::TAU / f64::from(STEPS);
-        Se3::exp(&Vector6::new(0.0, 0.0, 0.2, 0.0, turn, 0.0))
-    }
-
-    /// Keyframes around the circle, each with a landmark of its own 2 m ahead, and each step wrong
-    /// by the same motion.
-    fn drifted(error: Se3) -> World {
-        let camera = Camera::pinhole(SIZE, [50.0, 50.0, 31.5, 23.5]).expect("valid camera");
-        let mut world = World::with_camera(camera, Config::default());
-        let depth = DepthImage::new(SIZE.0, SIZE.1, 2.0);
-        let mut pose = Se3::identity();
-        for i in 0..=STEPS {
-            let mut frame = world.frame_of(i, &keypoints([[20, 30]]), &depth);
-            frame.camera_from_world = pose;
-            let p_world = frame.world_point(0, &camera).expect("has depth");
-            let k = world.map.add_keyframe(frame);
-            world.map.add_landmark(p_world, k, 0, &world.context.scales);
-            pose = error * step() * pose;
-        }
-        world
-    }
-
-    fn error_m(world: &World) -> f64 {
-        let mut truth = Se3::identity();
-        let mut worst = 0.0f64;
-        for keyframe in world.map.keyframes() {
-            worst = worst.max((keyframe.center() - truth.inverse().translation).norm());
-            truth = step() * truth;
-        }
-        worst
-    }
-
-    /// The path rises by 5 mm and rotates 0.2° too far at every step. The loop's ends meet, the error is spread, and every landmark stays where its own keyframe
-    /// saw it.
-    #[test]
-    fn the_path_of_a_drifted_circle_is_corrected() {
-        let mut world = drifted(Se3::exp(&Vector6::new(0.0, 0.005, 0.0, 0.0, 0.004, 0.0)));
-        let in_camera = |world: &World| -> Vec<Vector3<f64>> {
-            let landmarks = world.map.landmarks().map(|(_, l)| l);
-            landmarks
-                .map(|l| world.map.keyframe(l.born).camera_from_world * l.p_world)
-                .collect()
-        };
-        let (before, seen_before) = (error_m(&world), in_camera(&world));
-        let closure = LoopClosure {
-            keyframe: KeyframeId(STEPS),
-            older: KeyframeId(0),
-            inliers: 1000,
-            drift_m: 0.0,
-        };
-        // A whole lap: the camera is back at the first keyframe.
-        let solved = correct_path(
-            &world.context,
-            &mut world.map,
-            &[],
-            &closure,
-            Se3::identity(),
-        );
-        assert!(solved, "solved");
-        let after = error_m(&world);
-        assert!(
-            before > 0.05 && after < before / 3.0,
-            "{before} to {after} m"
-        );
-        let last = world.map.keyframe(KeyframeId(STEPS)).camera_from_world;
-        assert!(last.log().norm() < 2e-3, "the ends meet: {last:?}");
-        for (now, then) in in_camera(&world).iter().zip(&seen_before) {
-            assert!((now - then).norm() < 1e-9, "a landmark left its keyframe");
-        }
-    }
-
-    /// The setting reaches the pose graph and the global bundle: other last bits, the same poses.
-    #[test]
-    fn the_linear_solver_is_a_setting() {
-        let graph = |solver| {
-            let mut world = drifted(Se3::exp(&Vector6::new(0.0, 0.005, 0.0, 0.0, 0.004, 0.0)));
-            world.context.config.loops.linear_solver = solver;
-            let World { context, map, .. } = &mut world;
-            let (keyframe, older) = (KeyframeId(STEPS), KeyframeId(0));
-            let closure = LoopClosure {
-                keyframe,
-                older,
-                inliers: 1000,
-                drift_m: 0.0,
-            };
-            let solved = correct_path(context, map, &[], &closure, Se3::identity());
-            assert!(solved, "{solver:?}");
-            map.keyframe_poses()
-        };
-        let bundle = |solver| {
-            let (mut world, _) = World::three_views();
-            world.context.config.loops.linear_solver = solver;
-            let World { context, map, .. } = &mut world;
-            let off = Vector6::new(0.02, -0.01, 0.01, 0.003, 0.002, -0.004);
-            map.keyframe_mut(KeyframeId(1)).camera_from_world = Se3::exp(&off);
-            global_ba(context, map, &mut Recorder::default());
-            map.keyframe_poses()
-        };
-        let both = [LinearSolver::Portable, LinearSolver::Faer];
-        for [portable, faer] in [both.map(graph), both.map(bundle)] {
-            assert!(portable != faer, "the setting counts");
-            for (a, b) in portable.iter().zip(&faer) {
-                assert!((*a * b.inverse()).log().norm() < 1e-9, "{a:?} {b:?}");
-            }
-        }
-    }
-
-    #[test]
-    fn drift_beyond_a_share_of_the_path_is_not_plausible() {
-        let world = drifted(Se3::identity());
-        let limit_m = 0.2 + 0.05 * 4.8;
-        let seen_at = |x: f64, turn: f64| {
-            let mut seen = world.map.keyframe(KeyframeId(STEPS)).clone();
-            let error = Se3::new(
-                So3::exp(&Vector3::new(0.0, turn, 0.0)),
-                Vector3::new(x, 0.0, 0.0),
-            );
-            seen.camera_from_world = error * seen.camera_from_world;
-            is_plausible(
-                &world.context,
-                &world.map,
-                KeyframeId(STEPS),
-                KeyframeId(0),
-                &seen,
-            )
-        };
-        assert!(seen_at(0.97 * limit_m, 0.0), "just within");
-        assert!(!seen_at(1.03 * limit_m, 0.0), "just beyond");
-        assert!(!seen_at(0.0, 0.5), "rotated: 1.2 m off straight ahead");
-    }
-
-    #[test]
-    fn a_streak_needs_a_keyframe_in_common() {
-        let place = |ids: &[u32]| -> BTreeSet<_> { ids.iter().map(|k| KeyframeId(*k)).collect() };
-        let mut closer = LoopCloser::default();
-        assert_eq!(closer.continue_streaks(vec![place(&[1, 2])]), [1], "first");
-        let both = vec![place(&[2, 3]), place(&[7, 8])];
-        assert_eq!(closer.continue_streaks(both), [2, 1], "one continues");
-        let third = vec![place(&[3, 8])];
-        assert_eq!(closer.continue_streaks(third), [3], "the longer one counts");
-        assert!(closer.continue_streaks(Vec::new()).is_empty(), "nothing");
-        assert_eq!(closer.continue_streaks(vec![place(&[3])]), [1], "broken");
-    }
-}
+mod tests;

@@ -169,7 +169,111 @@ pub(super) fn medoid(descriptors: &[Descriptor]) -> Descriptor {
 
 #[cfg(test)]
 mod tests {
+    use garad_core::Se3;
+
     use super::*;
+    use crate::config::Config;
+    use crate::testing::{World, turned};
+
+    /// Where a landmark should appear in a camera that has turned: the place in the camera, the distances at which
+    /// it can be found and the cosine to its mean view.
+    #[test]
+    fn what_should_be_visible_and_how() {
+        let p_cam = Vector3::new(0.6, -0.8, 3.0);
+        let d = p_cam.norm();
+        let pose = turned(4);
+        let seen = |p_cam: Vector3<f64>, (nearest, farthest): (f64, f64), cosine: f64| {
+            let mut world = World::observing(Config::default(), 1, &[&[0]]);
+            let frame = world.map.keyframe_mut(KeyframeId(0));
+            frame.camera_from_world = pose;
+            let landmark = world
+                .map
+                .landmark_mut(garad_core::LandmarkId(0))
+                .expect("made");
+            landmark.p_world = pose.inverse() * p_cam;
+            let ray = pose.rotation.inverse() * (p_cam / p_cam.norm());
+            let beside = ray.cross(&Vector3::new(0.3, 0.5, -0.2)).normalize();
+            landmark.view_direction = ray * cosine + beside * (1.0 - cosine * cosine).sqrt();
+            landmark.distance_m = (nearest, farthest);
+            let World { context, map, .. } = &world;
+            let landmark = map.landmark(garad_core::LandmarkId(0)).expect("made");
+            landmark.appearance(
+                map.keyframe(KeyframeId(0)),
+                &context.camera,
+                &context.scales,
+            )
+        };
+        let all = (0.1, 2.0 * d);
+        let found = seen(p_cam, (0.1, 1.7 * d), 0.75).expect("visible");
+        // 78.5 + 120 · 0.6/3, 60.5 - 110 · 0.8/3
+        assert!((found.uv_px - Vector2::new(102.5, 60.5 - 88.0 / 3.0)).norm() < 1e-12);
+        assert!(
+            (found.depth_m - 3.0).abs() < 1e-12,
+            "along z: {}",
+            found.depth_m
+        );
+        assert!(
+            (found.view_cosine - 0.75).abs() < 1e-12,
+            "{}",
+            found.view_cosine
+        );
+        assert_eq!(found.level, 3, "1.2³ = 1.728 is the first that reaches 1.7");
+        for (what, p_cam, distances, cosine, expected) in [
+            ("60° beside", p_cam, all, 0.501, true),
+            ("more", p_cam, all, 0.499, false),
+            ("from behind", p_cam, all, -0.9, false),
+            ("just near enough", p_cam, (0.1, d / 1.19), 1.0, true),
+            ("too far", p_cam, (0.1, d / 1.21), 1.0, false),
+            ("just far enough", p_cam, (d / 0.81, 9.0 * d), 1.0, true),
+            ("too near", p_cam, (d / 0.79, 9.0 * d), 1.0, false),
+            ("behind the camera", -p_cam, all, 1.0, false),
+            (
+                "at the left edge",
+                Vector3::new(-1.97, 0.5, 3.0),
+                all,
+                1.0,
+                true,
+            ),
+            (
+                "beyond the left edge",
+                Vector3::new(-1.98, 0.5, 3.0),
+                all,
+                1.0,
+                false,
+            ),
+            (
+                "at the lower edge",
+                Vector3::new(0.1, 1.6, 3.0),
+                all,
+                1.0,
+                true,
+            ),
+            (
+                "beyond the lower edge",
+                Vector3::new(0.1, 1.61, 3.0),
+                all,
+                1.0,
+                false,
+            ),
+        ] {
+            assert_eq!(seen(p_cam, distances, cosine).is_some(), expected, "{what}");
+        }
+        let mut world = World::observing(Config::default(), 1, &[&[0]]);
+        let visible = |world: &World| {
+            let frame = world.map.keyframe(KeyframeId(0));
+            let landmark = world.map.landmark(garad_core::LandmarkId(0)).expect("made");
+            landmark
+                .appearance(frame, &world.context.camera, &world.context.scales)
+                .is_some()
+        };
+        assert_eq!(
+            world.map.keyframe(KeyframeId(0)).camera_from_world,
+            Se3::identity()
+        );
+        assert!(visible(&world), "static");
+        world.set_dynamic(0);
+        assert!(!visible(&world), "dynamic");
+    }
 
     #[test]
     fn levels_are_ordered_as_stated() {
@@ -189,5 +293,10 @@ mod tests {
             "between the others"
         );
         assert_eq!(medoid(&[d(7)]), d(7), "alone");
+        assert_eq!(medoid(&[d(0b11), d(0b1)]), d(0b11), "the first of equals");
+        // Distances 0 1 4 6, 0 1 3 5, 0 2 3 4 and 0 2 5 6: of four the second counts.
+        let four = [0, 0b1, 0b1111, 0b11_1111];
+        assert_eq!(medoid(&four.map(d)), d(0), "1 bit from another");
+        assert_eq!(medoid(&[]), Descriptor::default(), "none");
     }
 }

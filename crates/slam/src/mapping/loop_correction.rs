@@ -66,6 +66,10 @@ mod tests {
             map.push(&gaussian(born));
         }
         map.quaternions[1] = [0.0, 0.0, 0.0, 2.0]; // half a turn about z, length 2
+        map.raise_sh_degree(1);
+        for (k, sh) in map.sh.iter_mut().enumerate() {
+            *sh = [1.0, 10.0, 100.0].map(|c| c * [0.5, 0.25, -0.75, 0.125][k % 4]);
+        }
         let quarter = So3::exp(&Vector3::new(0.0, 0.0, std::f64::consts::FRAC_PI_2));
         let moved = [
             Se3::identity(),
@@ -89,6 +93,24 @@ mod tests {
             near(&map.log_scales[1], &before.log_scales[1]),
             "shapes stay"
         );
+        // The basis of degree 1 is -y, z, -x: a lobe along x is one along y now, and one along y one along -x.
+        for (k, (of, sign)) in [(0, 1.0), (3, 1.0), (2, 1.0), (1, -1.0)]
+            .into_iter()
+            .enumerate()
+        {
+            let expected = before.sh[4 + of].map(|c| c * sign);
+            let off = map.sh[4 + k]
+                .iter()
+                .zip(expected)
+                .map(|(a, b)| (a - b).abs());
+            assert!(
+                off.fold(0.0, f32::max) < 1e-4,
+                "coefficient {k}: {:?}",
+                map.sh[4 + k]
+            );
+        }
+        let others = |map: &GaussianMap| [map.sh[..4].to_vec(), map.sh[8..].to_vec()];
+        assert_eq!(others(&map), others(&before), "colours of those that stay");
         let moved = map.clone();
         apply_loop_correction(&mut map, &[]);
         assert_eq!(map, moved, "no loop, nothing moves");

@@ -177,6 +177,29 @@ mod tests {
         assert_eq!(word, "tie", "text");
     }
 
+    /// Byte by byte: 300 is the varint ac 02, and zlib gives CRC-32("n" ac 02).
+    #[test]
+    fn a_session_has_the_layout_it_is_said_to_have() {
+        let mut bytes = Vec::new();
+        let mut writer = SectionWriter::new(&mut bytes).expect("begun");
+        writer.put("n", &300u32).expect("put");
+        let [version, value] = [PROGRAM.as_bytes(), &[0xac, 0x02]];
+        let mut expected = b"garad session\n".to_vec();
+        expected.extend(FORMAT.to_le_bytes());
+        expected.extend(b"\x07program");
+        let length = u8::try_from(version.len()).expect("short");
+        expected.extend([length + 1, 0, 0, 0, 0, 0, 0, 0]);
+        let start = expected.len();
+        expected.extend(&bytes[start..start + 4]); // the checksum of the version
+        expected.push(length);
+        expected.extend(version);
+        expected.extend(b"\x01n");
+        expected.extend([2, 0, 0, 0, 0, 0, 0, 0]);
+        expected.extend(0x51b4_adf1_u32.to_le_bytes());
+        expected.extend(value);
+        assert_eq!(bytes, expected);
+    }
+
     #[test]
     fn every_flipped_bit_and_every_cut_is_noticed() {
         let good = written();

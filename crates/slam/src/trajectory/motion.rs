@@ -238,6 +238,109 @@ mod tests {
         }
     }
 
+    /// Three frames at unequal times: with a = (1/Δ₋, -1/Δ₋ - 1/Δ₊, 1/Δ₊)/(σ_a Δ), F = ½ w ‖s‖² + ½ (aᵀ(x + s))² is
+    /// least at s = -a aᵀx / (w + aᵀa).
+    #[test]
+    fn unequal_intervals_have_a_closed_form() {
+        let (t, x, sigma_m) = ([0.3, 0.5, 0.55], [0.1, 0.104, 0.107], 0.004);
+        let mut measured = path(x, sigma_m);
+        for (frame, t_s) in measured.iter_mut().zip(t) {
+            frame.t_s = t_s;
+        }
+        let scale = 1.0 / (2.0 * 0.125); // σ_a = 2 m/s², Δ = (0.2 s + 0.05 s)/2
+        let a = [scale / 0.2, -scale * 25.0, scale / 0.05];
+        let dot = |b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        let share = dot(x) / (1.0 / (sigma_m * sigma_m) + dot(a));
+        for (k, solved) in solved_x(&measured).into_iter().enumerate() {
+            let expected = x[k] - a[k] * share;
+            assert!((expected - x[k]).abs() > 1e-5, "something moves");
+            assert!(
+                (solved - expected).abs() < 1e-10,
+                "{k}: {solved} {expected}"
+            );
+        }
+        measured[1].t_s = measured[0].t_s; // says nothing of a speed
+        for (solved, x) in solved_x(&measured).iter().zip(x) {
+            assert!((solved - x).abs() < 1e-12, "{solved}, measured {x}");
+        }
+    }
+
+    /// Windows of a long path against all of it at once.
+    #[test]
+    fn windows_change_nothing() {
+        let wobble = |k: u32| 0.02 * f64::from(k) + 0.004 * f64::from(k * k % 7);
+        let measured = path((0..67).map(wobble), 0.004);
+        let all = solve(&measured, &config()).expect("determined");
+        let solved = solved_x(&measured);
+        assert_eq!(solved.len(), 67);
+        for (k, solved) in solved.iter().enumerate() {
+            let expected = measured[k].centre().x + all.steps[k].x;
+            assert!(
+                (solved - expected).abs() < 1e-7,
+                "{k}: {solved}, {expected} at once"
+            );
+        }
+    }
+
+    /// Information of the centre in the world, Rᵀ A⁻¹ R with A the upper left of H⁻¹ (1 + κ² n), and the turn that
+    /// goes with a step.
+    #[test]
+    fn a_measured_pose_is_turned_into_the_world() {
+        let pose = crate::testing::turned(3);
+        let mut matrix =
+            nalgebra::Matrix6::from_diagonal(&(Vector6::new(9.0, 4.0, 25.0, 7.0, 5.0, 8.0) * 1e4));
+        for (i, j, h) in [
+            (0, 3, 2e4),
+            (1, 5, -1e4),
+            (2, 4, 3e4),
+            (0, 4, 0.5e4),
+            (0, 1, 1.5e4),
+        ] {
+            (matrix[(i, j)], matrix[(j, i)]) = (h, h);
+        }
+        let links = PoseInformation { matrix, links: 50 };
+        let config = MotionConfig {
+            shared_error: 0.2,
+            ..config()
+        };
+        let measured = MeasuredPose::new(1.5, pose, &links, &config);
+        let inverse = matrix.try_inverse().expect("regular");
+        let of_step = inverse.fixed_view::<3, 3>(0, 0) * 3.0; // 1 + 0.04 · 50
+        let r = pose.rotation.matrix();
+        let expected = r.transpose() * of_step.try_inverse().expect("regular") * r;
+        let off = (measured.information - expected).norm() / expected.norm();
+        assert!(off < 1e-12, "{off}");
+        let of_turn = matrix
+            .fixed_view::<3, 3>(3, 3)
+            .try_inverse()
+            .expect("regular");
+        let turn_by_step = -of_turn * matrix.fixed_view::<3, 3>(3, 0);
+        let step = Vector3::new(2e-6, -1e-6, 3e-6);
+        let moved = measured.moved(&step);
+        let centre = moved.inverse().translation - pose.inverse().translation;
+        assert!(
+            (centre - step).norm() < 1e-10,
+            "the centre goes by the step: {centre}"
+        );
+        let turned = (moved.rotation * pose.rotation.inverse()).log();
+        let expected = turn_by_step * -(r * step);
+        assert!((turned - expected).norm() < 1e-10, "{turned} {expected}");
+    }
+
+    /// The next centre is c₊ = c + v Δ₊, and with places that are certain its σ is σ_a Δ Δ₊, Δ = (Δ₋ + Δ₊)/2.
+    #[test]
+    fn the_next_centre_is_as_certain_as_the_prior() {
+        let measured = path([0.0, 0.02, 0.04], 1e-6);
+        let next = expected_centre(&measured, 0.2 + 0.2, &config()).expect("three frames");
+        assert!((next.centre_m.x - 0.08).abs() < 1e-6, "{}", next.centre_m);
+        let sigma_m = (1.0 / next.information[(1, 1)]).sqrt();
+        assert!((sigma_m - 2.0 * 0.15 * 0.2).abs() < 1e-6, "{sigma_m}");
+        assert!(
+            expected_centre(&measured[..2], 0.3, &config()).is_none(),
+            "two frames"
+        );
+    }
+
     /// One frame of thirty is measured 5 cm beside a path of uniform speed, by a hand that cannot do
     /// that: 0.1 m/s² is 1 mm from frame to frame.
     #[test]
