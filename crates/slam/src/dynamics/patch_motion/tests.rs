@@ -34,12 +34,18 @@ fn swayed(by_px: usize) -> LkPyramid {
     LkPyramid::new(&image, 3).expect("an image")
 }
 
+/// Where the camera is: beside the world's origin, and turned.
+fn away() -> Se3 {
+    Se3::exp(&[1.0, -0.5, 0.3, 0.1, 0.2, -0.3].into())
+}
+
 /// A camera at rest before a wall, whose depth does not depend on what is painted on it: images of
 /// these frames, with the shirt this far to the left.
 fn world_that_saw(images: &[(u32, usize)], config: Config) -> World {
     let mut world = World::new(config);
     for (id, by_px) in images {
-        let seen = world.frame(*id, &wall());
+        let mut seen = world.frame(*id, &wall());
+        seen.camera_from_world = away();
         world.keep(seen, &wall());
         let view = world.dynamics.past.back_mut().expect("just added");
         view.image = Some(Arc::new(swayed(*by_px)));
@@ -66,7 +72,8 @@ fn residuals_from(
         dynamics,
         ..
     } = world;
-    let now = world.frame(40, depth);
+    let mut now = world.frame(40, depth);
+    now.camera_from_world = away();
     let columns = (4..156usize).step_by(4);
     let places = columns.flat_map(|x| (4..116usize).step_by(4).map(move |y| (x, y)));
     let places: Vec<(usize, usize)> = places.collect();
@@ -75,7 +82,7 @@ fn residuals_from(
         .map(|&(x, y)| {
             let px = Vector2::new(x as f64, y as f64);
             let depth_m = f64::from(depth[(x, y)]);
-            let p_world: Vector3<f64> = context.camera.unproject(&px, depth_m);
+            let p_world: Vector3<f64> = away().inverse() * context.camera.unproject(&px, depth_m);
             Sample {
                 px,
                 depth_m,
@@ -192,7 +199,7 @@ fn future_views_are_references() {
         frame: FrameId(49),
         free_space: FreeSpace::new(&wall(), 8.0),
         pyramid: Some(swayed(0)),
-        camera_from_world: Se3::identity(),
+        camera_from_world: away(),
     });
     let [shirt, _] = residuals(&world, &wall(), &swayed(SWAY_PX));
     assert!(largest(&shirt) > 5.0, "9 frames ahead");
@@ -207,7 +214,7 @@ fn camera_motion_is_no_displacement() {
     let mut world = world_that_saw(&[(10, 0), (20, 0), (30, 0)], config());
     let now_from_then = Se3::exp(&[-0.05, 0.0, 0.0, 0.0, 0.0, 0.0].into());
     for k in world.dynamics.past.iter().map(|view| view.reference) {
-        world.map.keyframe_mut(k).camera_from_world = now_from_then.inverse();
+        world.map.keyframe_mut(k).camera_from_world = now_from_then.inverse() * away();
     }
     let all = residuals(&world, &wall(), &passed(2)).concat();
     assert!(largest(&all) <= 0.0, "as predicted");
@@ -297,7 +304,7 @@ fn the_error_of_the_depth_is_one_of_the_prediction() {
         let mut world = world_that_saw(&[(10, 0), (20, 0), (30, 0)], config);
         let then_from_now = Se3::exp(&[0.05, 0.0, 0.0, 0.0, 0.0, 0.0].into());
         for k in world.dynamics.past.iter().map(|view| view.reference) {
-            world.map.keyframe_mut(k).camera_from_world = then_from_now;
+            world.map.keyframe_mut(k).camera_from_world = then_from_now * away();
         }
         let expected = 2.0 / 0.3 / (1.0 + share * share).sqrt();
         for residual in residuals(&world, &wall(), &passed(0))[0].iter() {
