@@ -443,3 +443,34 @@ fn a_run_restarts_if_two_in_a_hundred_cells_of_the_first_frame_move() {
         assert_eq!(found, expected, "{box_px:?}");
     }
 }
+
+/// Two masks of four keypoints and four cells.
+#[test]
+fn in_a_union_what_moves_in_either_moves() {
+    let labels =
+        |label: [Label; 4], in_use: [bool; 4], cells: [u8; 4], restored: u32| FrameLabels {
+            label: label.to_vec(),
+            in_use: in_use.to_vec(),
+            cells: MaskImage::from_vec(4, 1, cells.to_vec()).expect("four cells"),
+            restored: vec![LandmarkId(restored)],
+        };
+    let by_field = labels(
+        [Static, Dynamic, Static, Dynamic],
+        [true, false, true, false],
+        [0, MOVING, 0, MOVING],
+        1,
+    );
+    let by_mask = labels(
+        [Static, Static, Dynamic, Dynamic],
+        [true, true, false, false],
+        [0, 0, MOVING, MOVING],
+        2,
+    );
+    let both = labels(
+        [Static, Dynamic, Dynamic, Dynamic],
+        [true, false, false, false],
+        [0, MOVING, MOVING, MOVING],
+        2,
+    );
+    assert_eq!(by_field.union(by_mask), both, "the mask's landmarks");
+}

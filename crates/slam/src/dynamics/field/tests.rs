@@ -344,6 +344,9 @@ fn rest_is_checked_against_the_image_of_the_age_that_is_set() {
         config.labels.rest_frames = rest_frames;
         config.labels.patch_motion.min_suspects = min_suspects;
         config.flow.enabled = flow;
+        // What was seen there ten frames ago is trusted, and what has just come is not.
+        config.labels.trust_young = 0.3;
+        config.labels.settle_frames = 10;
         let found = a_box_that_came(config).expect("labelled");
         let what = format!("{rest_frames} frames, {min_suspects}, {flow}: {found}");
         assert!((found - share).abs() < 0.02, "{what}");

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use garad_core::{FrameId, GrayImage, Se3};
+use garad_core::{FrameId, GrayImage, Real, Se3};
 use nalgebra::Vector3;
 
 use super::*;
@@ -354,4 +354,79 @@ fn a_window_is_whole_unless_something_nearer_reaches_into_it() {
     }
     assert!(with((0, 0), 1.5, [4.0, 3.0]), "what is outside is left out");
     assert!(!with((4, 3), 1.5, [4.0, 3.0]), "the rest is not");
+}
+
+/// The shirt 3 px to the left of where it was.
+fn comparison<T>(config: Config, of: impl Fn(&Comparison<'_>) -> T) -> T {
+    let (world, now, then) = (World::new(config), swayed(SWAY_PX), swayed(0));
+    let free_space = FreeSpace::new(&wall(), 8.0);
+    of(&Comparison {
+        context: &world.context,
+        pyramid: &now,
+        reference: ReferenceImage::new(&then, &free_space, Se3::identity()),
+        baseline_m: 0.0,
+    })
+}
+
+/// A patch of the shirt that is found so far to the right of its prediction.
+fn task(sample: usize, off_px: f32, correlation: f64) -> Task {
+    Task {
+        sample,
+        at: [84.0, 64.0],
+        predicted: [84.0 + 3.0 - off_px, 64.0],
+        correlation,
+    }
+}
+
+/// Lengths of 0.1 to 2 px, of which the one in the middle is 1.1 px; then 125 of 250 count, every other one.
+#[test]
+fn the_spread_is_that_of_the_median_of_up_to_two_hundred() {
+    let sigma_of_median = (2.0 * Real::ln(2.0f64)).sqrt();
+    let upwards = |n: u8| (1..=n).map(|k| 0.1 * f32::from(k)).collect::<Vec<_>>();
+    let in_turn = [1.0, 2.0].repeat(125);
+    for (lengths_px, expected_px) in [
+        (upwards(19), None),
+        (upwards(20), Some(1.1)),
+        (in_turn, Some(1.0)),
+    ] {
+        let tasks: Vec<Task> = lengths_px.iter().map(|off| task(0, *off, 0.0)).collect();
+        let found = comparison(config(), |c| c.spread_px(tasks.iter()));
+        let what = format!("{} tasks: {found:?}", tasks.len());
+        assert_eq!(found.is_some(), expected_px.is_some(), "{what}");
+        let off = found.unwrap_or(0.0) - expected_px.unwrap_or(0.0) / sigma_of_median;
+        assert!(off.abs() < 0.03, "{what}");
+    }
+}
+
+/// All are found 3 px beside the prediction, where the correlation is 1: it must exceed that at the prediction by 0.2, and from
+/// 0.97 on nothing is searched for.
+#[test]
+fn a_displacement_must_explain_the_patch_better() {
+    let mut config = config();
+    let settings = &mut config.labels.patch_motion;
+    settings.same_correlation = 0.97;
+    settings.min_gain = 0.2;
+    settings.min_correlation = 0.5;
+    let correlations = [0.98, 0.96, 0.81, 0.79, 0.6, 0.3, -0.4];
+    let tasks: Vec<Task> = (correlations.iter().enumerate())
+        .map(|(i, correlation)| task(i, 3.0, *correlation))
+        .collect();
+    let sample = Sample {
+        px: Vector2::new(84.0, 64.0),
+        depth_m: 3.0,
+        p_world: Vector3::new(0.0, 0.0, 3.0),
+    };
+    let mut found = comparison(config, |c| c.answers(tasks.clone(), &[sample; 7], 0.5));
+    found.sort_by_key(|(i, _)| *i);
+    let found: Vec<f64> = found
+        .into_iter()
+        .map(|(_, answer)| match answer {
+            Answer::Displaced(px) => px,
+            Answer::Changed => f64::NAN,
+        })
+        .collect();
+    assert_eq!(found.len(), 7, "an answer each");
+    for (found, expected) in found.iter().zip([0.0, 0.0, 0.0, 3.0, 3.0, 3.0, 3.0]) {
+        assert!((found - expected).abs() < 0.1, "{found} for {expected}");
+    }
 }
