@@ -292,7 +292,7 @@ mod tests {
             if is_in(MOVING_PX, x, y) {
                 assert!(moves, "({x}, {y})");
             }
-            if x < 36 || x > 124 {
+            if !(36..=124).contains(&x) {
                 assert!(!moves, "({x}, {y})");
             }
         }

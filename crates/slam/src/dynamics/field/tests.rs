@@ -264,7 +264,7 @@ fn labels_are_those_of_the_mask_and_of_the_keypoints_themselves() {
         let world = World::new(config);
         let context = &world.context;
         let mut frame = world.frame(60, &wall());
-        let own = |[x, y]: &[usize; 2]| places().iter().position(|at| at == &[*x, *y]);
+        let own = |place: &[usize; 2]| places().iter().position(|at| at == place);
         let [above, at, hidden] = [[140, 60], [140, 20], [140, 100]]
             .map(|place| own(&place).expect("a keypoint is there"));
         frame.depth_m[hidden] = None;

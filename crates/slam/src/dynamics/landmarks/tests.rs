@@ -282,7 +282,7 @@ fn local_landmarks_are_those_of_the_keyframe_and_of_its_neighbours_where_it_sees
         );
         for (link, uv_px) in found {
             let [x, y, z] = points[link];
-            let shift_px = shift_px * 1.0 / z;
+            let shift_px = shift_px / z;
             let expected = Vector2::new(79.5 + 120.0 * x / z - shift_px, 59.5 + 120.0 * y / z);
             assert!((uv_px - expected).norm() < 1e-9, "{link}: {uv_px}");
         }

@@ -284,7 +284,7 @@ fn displacements_are_in_units_of_the_sigma_that_is_set() {
         let mut config = config();
         config.labels.patch_motion.sigma_px = sigma_px;
         let world = world_that_saw(&[(10, 0), (20, 0), (30, 0)], config);
-        for residual in residuals(&world, &wall(), &swayed(SWAY_PX))[0].iter() {
+        for residual in &residuals(&world, &wall(), &swayed(SWAY_PX))[0] {
             assert!(
                 (residual - expected).abs() < 0.25,
                 "{sigma_px} px: {residual}"
@@ -307,7 +307,7 @@ fn the_error_of_the_depth_is_one_of_the_prediction() {
             world.map.keyframe_mut(k).camera_from_world = then_from_now * away();
         }
         let expected = 2.0 / 0.3 / (1.0 + share * share).sqrt();
-        for residual in residuals(&world, &wall(), &passed(0))[0].iter() {
+        for residual in &residuals(&world, &wall(), &passed(0))[0] {
             let off = (residual - expected).abs();
             assert!(off < 0.06 * expected, "{floor_m} m: {residual}, {expected}");
         }
