@@ -72,9 +72,11 @@ mod tests {
 
     /// What a view measured all over, its label and age, and the motion of the world before its camera.
     type Seen = (f32, Label, u32, f64);
+    /// Residual and age.
+    type Found = (Option<f64>, u32);
 
     /// The evidence on the point at 2 m on the axis.
-    fn evidence(views: &[Seen]) -> (Option<f64>, u32) {
+    fn evidence(views: &[Seen]) -> Found {
         let camera = Camera::pinhole((64, 48), [60.0, 50.0, 31.5, 23.5]).expect("valid");
         let free_space = |(depth_m, label, ..): &Seen| {
             let mut free_space = FreeSpace::new(&DepthImage::new(64, 48, *depth_m), 8.0);
@@ -101,7 +103,7 @@ mod tests {
     /// At σ = 0.1 m the point is 5 σ before 2.5 m, 2.5 σ before 2.25 m, on 2 m, and hidden by 1 m.
     #[test]
     fn the_largest_residual_and_the_oldest_static_surface_count() {
-        let cases: &[(&[Seen], (Option<f64>, u32))] = &[
+        let cases: &[(&[Seen], Found)] = &[
             (&[], (None, 0)),
             (&[(1.0, Static, 9, 0.0)], (None, 0)),
             (&[(0.0, Static, 9, 0.0)], (None, 0)),
