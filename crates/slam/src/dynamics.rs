@@ -423,3 +423,6 @@ impl Dynamics {
 fn oldest_view(context: &Context, now: FrameId) -> FrameId {
     FrameId(now.0.saturating_sub(context.config.labels.memory_frames))
 }
+
+#[cfg(test)]
+mod tests;

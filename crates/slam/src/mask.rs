@@ -96,4 +96,81 @@ mod tests {
             "two pixels to each side"
         );
     }
+
+    /// 7 x 5 pixels, one of which moves; another is unknown.
+    fn one_pixel() -> MaskImage {
+        let mut mask = MaskImage::new(7, 5, 0);
+        mask[(4, 1)] = MOVING;
+        mask[(1, 3)] = 128;
+        mask
+    }
+
+    #[test]
+    fn near_is_within_a_square() {
+        for radius in [0, 1, 2] {
+            for (x, y) in (0..5usize).flat_map(|y| (0..7usize).map(move |x| (x, y))) {
+                let expected = x.abs_diff(4) <= radius && y.abs_diff(1) <= radius;
+                let found = moving_near(&one_pixel(), x, y, radius);
+                assert_eq!(found, expected, "({x}, {y}), radius {radius}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_nearest_pixel_decides() {
+        for (x, y, expected) in [
+            (3.4, 1.0, false),
+            (3.5, 1.0, true),
+            (4.4, 1.4, true),
+            (4.5, 1.0, false),
+            (4.0, 0.4, false),
+            (4.0, 0.5, true),
+            (4.0, 1.5, false),
+            (1.0, 3.0, false),
+            (1.0, 4.0, false),
+            (-4.0, 1.0, false),
+            (7.0, 1.0, false),
+        ] {
+            let found = is_moving_at(&one_pixel(), &Vector2::new(x, y));
+            assert_eq!(found, expected, "({x}, {y})");
+        }
+    }
+
+    /// Cells of 4 px over 10 x 7 pixels.
+    #[test]
+    fn a_cell_fills_its_pixels() {
+        let mut cells = MaskImage::new(3, 2, 0);
+        cells[(1, 0)] = MOVING;
+        cells[(2, 1)] = 128;
+        let full = full_size(&cells, (10, 7));
+        let expected = MaskImage::from_fn(10, 7, |x, y| match (x, y) {
+            (4..=7, 0..=3) => MOVING,
+            (8..=9, 4..=6) => 128,
+            _ => 0,
+        });
+        assert_eq!(full, expected);
+        let larger = full_size(&cells, (13, 9));
+        assert_eq!(
+            (larger[(12, 0)], larger[(11, 8)]),
+            (0, 0),
+            "beyond the cells"
+        );
+    }
+
+    /// Pixel (x, y) of the half covers 2 x - 2 to 2 x + 2: column 1 reaches the odd columns 0 and 1, row 6 is reached by 2 to 4.
+    #[test]
+    fn halving_covers_two_pixels_to_each_side_of_every_second() {
+        let mut mask = MaskImage::new(9, 11, 0);
+        mask[(1, 6)] = 1;
+        let half = halve(&mask);
+        assert_eq!(half.size(), (5, 6), "rounded up");
+        for (x, y) in (0..6).flat_map(|y| (0..5).map(move |x| (x, y))) {
+            let expected = if x < 2 && (2..5).contains(&y) {
+                MOVING
+            } else {
+                0
+            };
+            assert_eq!(half[(x, y)], expected, "({x}, {y})");
+        }
+    }
 }

@@ -265,3 +265,32 @@ impl Default for LabelConfig {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ages_may_be_off_by_half_the_least_of_them() {
+        for (ages_frames, slack, reach) in [
+            ([9, 25, 14], 4, 29),
+            ([40, 6, 8], 3, 43),
+            ([5, 5, 5], 2, 7),
+            ([1, 2, 3], 0, 3),
+        ] {
+            let config = PatchMotionConfig {
+                ages_frames,
+                ..PatchMotionConfig::default()
+            };
+            assert_eq!(config.slack_frames(), slack, "{ages_frames:?}");
+            assert_eq!(config.reach_frames(), reach, "{ages_frames:?}");
+        }
+    }
+
+    #[test]
+    fn gaussians_are_labelled_by_two_of_four_sources() {
+        use LabelSource::{Both, Flow, Frames, Gaussians};
+        let labelled = [Frames, Gaussians, Both, Flow].map(LabelSource::has_gaussians);
+        assert_eq!(labelled, [false, true, true, false]);
+    }
+}

@@ -159,3 +159,74 @@ fn register(context: &Context, first: &Frame, last: &Frame) -> Option<Se3> {
     let best = minima.min_by(|a, b| a.0.total_cmp(&b.0))?;
     best.1.is_finite().then_some(best.1)
 }
+
+#[cfg(test)]
+mod tests {
+    use garad_core::GrayImage;
+    use nalgebra::Vector6;
+
+    use super::*;
+    use crate::config::Config;
+    use crate::testing::{World, keypoints, places, wall};
+
+    /// Frames 3, 7, 8, 15 and 20 of a camera that goes to the right before the wall: with f = 120 px, what is at 3 m goes
+    /// 2 px to the left for 5 cm.
+    fn buffer(world: &World, lefts_px: &[(u32, usize)]) -> BootstrapBuffer {
+        let mut rng = Rng::new(9);
+        let descriptors: Vec<_> = (places().iter())
+            .map(|_| garad_features::Descriptor([0; 4].map(|_| rng.next_u64())))
+            .collect();
+        let (rgb, depth) = (RgbImage::new(160, 120, [90; 3]), wall());
+        let mut buffer = BootstrapBuffer::default();
+        for (id, left_px) in lefts_px {
+            let shifted = places().into_iter().map(|[x, y]| [x - left_px, y]);
+            let mut frame = world.frame_of(*id, &keypoints(shifted), &depth);
+            frame.descriptors.clone_from(&descriptors);
+            let input = FrameInput {
+                t_s: f64::from(*id),
+                depth_t_s: 0.0,
+                rgb: &rgb,
+                depth: &depth,
+                mask: None,
+            };
+            buffer.push(&input, &frame);
+        }
+        buffer
+    }
+
+    #[test]
+    fn the_middle_and_the_last_frame_are_future_views_of_the_first() {
+        let mut world = World::new(Config::default());
+        world.context.config.labels.patch_motion.enabled = false;
+        let mut five = buffer(&world, &[(3, 0), (7, 1), (8, 2), (15, 1), (20, 4)]);
+        let future = future_views(&world.context, &five);
+        let frames: Vec<u32> = future.iter().map(|view| view.frame.0).collect();
+        assert_eq!(frames, [8, 20], "two of five");
+        for (view, x) in future.iter().zip([-0.05, -0.1]) {
+            let expected = Se3::exp(&Vector6::new(x, 0.0, 0.0, 0.0, 0.0, 0.0));
+            let off = (view.camera_from_world * expected.inverse()).log().norm();
+            assert!(off < 1e-3, "frame {:?}: {off}", view.frame);
+            assert!(view.pyramid.is_none(), "no patch motion");
+        }
+        five.frames[2].frame.depth_planes = None;
+        let frames = future_views(&world.context, &five);
+        let frames: Vec<u32> = frames.iter().map(|view| view.frame.0).collect();
+        assert_eq!(frames, [20], "one without depth");
+        five.frames.truncate(1);
+        assert!(future_views(&world.context, &five).is_empty(), "one alone");
+        five.frames.clear();
+        assert!(future_views(&world.context, &five).is_empty(), "none");
+    }
+
+    #[test]
+    fn a_pyramid_is_made_for_patch_motion_alone() {
+        let rgb = RgbImage::new(16, 12, [90; 3]);
+        for enabled in [true, false] {
+            let mut world = World::new(Config::default());
+            world.context.config.labels.patch_motion.enabled = enabled;
+            let made = patch_motion_pyramid(&world.context, &rgb);
+            let expected = enabled.then(|| GrayImage::new(16, 12, 90));
+            assert_eq!(made.map(|pyramid| pyramid.image()), expected, "{enabled}");
+        }
+    }
+}

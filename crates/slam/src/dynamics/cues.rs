@@ -78,12 +78,13 @@ fn depth_spread(context: &Context, map: &Map, landmark: &Landmark) -> Option<f64
 
 #[cfg(test)]
 mod tests {
-    use garad_core::{FrameId, Label, LandmarkId};
+    use garad_core::{Camera, FrameId, Label, LandmarkId, Se3};
     use garad_crf::DepthNoise;
+    use nalgebra::{Vector2, Vector3, Vector6};
 
     use super::*;
     use crate::config::Config;
-    use crate::testing::{World, wall};
+    use crate::testing::{World, keypoints, wall};
 
     /// A landmark at 3 m that so many keyframes observe, and measure this far behind it.
     fn measured(behind_m: &[Option<f64>], depth_cue: DepthCue) -> (World, LandmarkId) {
@@ -145,5 +146,114 @@ mod tests {
         let (world, id) = measured(&behind_m, DepthCue::Spread);
         let landmark = world.map.landmark(id).expect("alive");
         assert_eq!(landmark.label(), Label::Static, "reading changes nothing");
+    }
+
+    /// A keyframe's pose, how far its keypoint is beside the projected landmark, and the depth measured there.
+    type Seen = (Se3, [f64; 2], Option<f64>);
+
+    fn cues_of(p_world: [f64; 3], seen: &[Seen], depth_cue: DepthCue) -> Cues {
+        let camera = Camera::pinhole((160, 120), [120.0, 110.0, 82.0, 57.0]).expect("valid");
+        let mut config = Config::default();
+        config.labels.depth_cue = depth_cue;
+        config.labels.noise = DepthNoise {
+            per_m: 0.01,
+            floor_m: 0.001,
+        };
+        let mut world = World::with_camera(camera, config);
+        let p_world = Vector3::from(p_world);
+        let mut landmark = None;
+        for (id, (pose, off_px, depth_m)) in (0u32..).zip(seen) {
+            let mut frame = world.frame_of(id, &keypoints([[80, 60]]), &wall());
+            frame.camera_from_world = *pose;
+            frame.depth_m[0] = *depth_m;
+            frame.sigma_px[0] = 2.0;
+            let p_cam = *pose * p_world;
+            let at = [120.0, 110.0].map(|f| f / p_cam.z);
+            let uv = Vector2::new(82.0 + at[0] * p_cam.x, 57.0 + at[1] * p_cam.y);
+            frame.uv_px[0] = uv + Vector2::from(*off_px);
+            frame.landmark[0] = landmark;
+            let keyframe = world.map.add_keyframe(frame);
+            let scales = &world.context.scales;
+            landmark =
+                landmark.or_else(|| Some(world.map.add_landmark(p_world, keyframe, 0, scales)));
+        }
+        let id = landmark.expect("one observation at least");
+        let landmark = world.map.landmark(id).expect("alive");
+        let (context, map) = (&world.context, &world.map);
+        let history = world.dynamics.history(context, map, FrameId(50));
+        landmark_cues(context, map, landmark, &history)
+    }
+
+    fn pose(xi: [f64; 6]) -> Se3 {
+        Se3::exp(&Vector6::from(xi))
+    }
+
+    /// A camera this far to the right of the origin.
+    fn right_by(x: f64) -> Se3 {
+        pose([-x, 0.0, 0.0, 0.0, 0.0, 0.0])
+    }
+
+    /// Keypoints 5, 2 and 13 px beside the landmark, and one of a camera that has it behind: α is the mean of three, γ
+    /// counts all.
+    #[test]
+    fn alpha_is_the_mean_distance_in_pixels_and_gamma_the_number_of_observations() {
+        let seen = [
+            (Se3::identity(), [3.0, -4.0], None),
+            (pose([0.1, -0.2, 0.3, 0.02, -0.03, 0.05]), [0.0, 2.0], None),
+            (
+                pose([-0.3, 0.1, -0.2, -0.04, 0.01, -0.02]),
+                [-5.0, 12.0],
+                None,
+            ),
+            (pose([0.0, 0.0, -9.0, 0.0, 0.0, 0.0]), [1.0, 1.0], None),
+        ];
+        let cues = |n: usize| cues_of([0.2, -0.1, 3.0], &seen[..n], DepthCue::FreeSpace);
+        for (n, mean) in [(1, 5.0), (2, 3.5), (3, 20.0 / 3.0), (4, 20.0 / 3.0)] {
+            let cues = cues(n);
+            let found = cues.reproj_px.expect("in front of the first");
+            assert!((found - mean).abs() < 1e-9, "{n} observations: {found}");
+            assert_eq!(cues.observations, u32::try_from(n).ok(), "{n}");
+            assert_eq!(cues.depth_residual, None, "no view in the history");
+        }
+    }
+
+    /// Cameras beside each other, whose epipolar lines are rows. The third is nearer to the second than a line needs, but not to
+    /// the first, which lines are drawn from.
+    #[test]
+    fn delta_is_the_mean_distance_to_the_line_of_the_first_observation() {
+        let seen = [
+            (right_by(5.0), [0.0, 0.0], None),
+            (right_by(6.0), [3.0, 2.0], None),
+            (right_by(6.03), [1.0, -4.0], None),
+        ];
+        let cues = |n: usize| cues_of([5.2, -0.1, 3.0], &seen[..n], DepthCue::FreeSpace);
+        assert_eq!(cues(1).epipolar_px, None, "one alone");
+        for (n, mean) in [(2, 2.0), (3, 3.0)] {
+            let found = cues(n).epipolar_px.expect("a baseline");
+            assert!((found - mean).abs() < 1e-9, "{n} observations: {found}");
+        }
+        // 2 in 100 of the distance of 3 m from the first camera; the world's origin is 5.8 m away.
+        for (baseline_m, found) in [(0.059, false), (0.061, true)] {
+            let seen = [
+                (right_by(5.0), [0.0, 0.0], None),
+                (right_by(5.0 + baseline_m), [0.0, 2.0], None),
+            ];
+            let cues = cues_of([5.0, 0.0, 3.0], &seen, DepthCue::FreeSpace);
+            assert_eq!(cues.epipolar_px.is_some(), found, "{baseline_m} m");
+        }
+    }
+
+    /// Predicted 3 m and measured as much; predicted 2 m by a camera a metre ahead, measured 2.1 m, where σ is
+    /// 0.01 · 2.1² = 0.0441 m: residuals of 0 and 2.2676, √2 apart.
+    #[test]
+    fn the_spread_is_in_sigmas_at_the_depth_measured() {
+        let ahead = pose([0.0, 0.0, -1.0, 0.0, 0.0, 0.0]);
+        let seen = [
+            (Se3::identity(), [0.0; 2], Some(3.0)),
+            (ahead, [0.0; 2], Some(2.1)),
+        ];
+        let cues = cues_of([0.2, -0.1, 3.0], &seen, DepthCue::Spread);
+        let found = cues.depth_residual.expect("two depths");
+        assert!((found - 0.1 / 0.0441 / 2f64.sqrt()).abs() < 1e-9, "{found}");
     }
 }

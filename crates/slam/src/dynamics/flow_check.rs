@@ -162,6 +162,20 @@ mod tests {
     impl Scene {
         /// Which keypoints are at rest; the suspects are at these places.
         fn rests(&self) -> Vec<bool> {
+            self.check(|context, now, reference, samples, recorder| {
+                at_rest(context, now, reference, samples, &self.suspected, recorder)
+            })
+        }
+
+        /// Which keypoints do not flow as the others do.
+        fn moves(&self) -> Vec<bool> {
+            self.check(outliers)
+        }
+
+        fn check(
+            &self,
+            of: impl Fn(&Context, &LkPyramid, ReferenceImage<'_>, &[Sample], &mut Recorder) -> Vec<bool>,
+        ) -> Vec<bool> {
             let mut world = World::new(Config::default());
             world.context = self.context.clone();
             let mut now = world.frame(30, &self.depth);
@@ -172,14 +186,7 @@ mod tests {
             let [then, now] = &self.images;
             let reference = ReferenceImage::new(then, &free_space, Se3::identity());
             let recorder = &mut Recorder::default();
-            at_rest(
-                &self.context,
-                now,
-                reference,
-                &samples,
-                &self.suspected,
-                recorder,
-            )
+            of(&self.context, now, reference, &samples, recorder)
         }
 
         fn restored(&self) -> usize {
@@ -261,5 +268,78 @@ mod tests {
         scene.context.config.flow.enabled = true;
         scene.context.config.flow.min_support = 1000;
         assert_eq!(scene.restored(), 0, "too few to fit a model to");
+    }
+
+    /// 3 px at a variance of little more than the floor of 0.04 px² are a χ² of about 220.
+    #[test]
+    fn the_gate_is_the_one_that_is_set() {
+        for (chi2, restored) in [(50.0, 20), (150.0, 20), (400.0, 20 + 25)] {
+            let mut scene = scene();
+            scene.context.config.flow.chi2 = chi2;
+            assert_eq!(scene.restored(), restored, "up to {chi2}");
+            let moving = scene.moves();
+            let inner = places().into_iter().zip(moving);
+            let inner = inner.filter(|([x, y], moves)| *moves && is_in(MOVING_PX, *x, *y));
+            let outside = if restored > 20 { 0 } else { 25 };
+            assert_eq!(inner.count(), outside, "outside of {chi2}");
+        }
+    }
+
+    #[test]
+    fn outliers_are_what_moves_against_all_others() {
+        let mut scene = scene();
+        for ([x, y], moves) in places().into_iter().zip(scene.moves()) {
+            if is_in(MOVING_PX, x, y) {
+                assert!(moves, "({x}, {y})");
+            }
+            if !(36..=124).contains(&x) {
+                assert!(!moves, "({x}, {y})");
+            }
+        }
+        scene.context.config.flow.enabled = false;
+        assert!(!scene.moves().contains(&true), "switched off");
+    }
+
+    /// Two thirds of the picture are suspects and move; the model is that of the others.
+    #[test]
+    fn the_model_is_that_of_what_is_not_suspected() {
+        let first = texture();
+        let moves = |x: usize| x < 110;
+        let second = GrayImage::from_fn(160, 120, |x, y| {
+            first[(if moves(x) { x + SHIFT_PX } else { x }, y)]
+        });
+        let is_suspect = |[x, _]: [usize; 2]| x < 90;
+        let scene = Scene {
+            context: World::new(Config::default()).context,
+            images: pyramids([&first, &second]),
+            depth: wall(),
+            now_from_then: Se3::identity(),
+            suspected: places()
+                .into_iter()
+                .map(|at| is_suspect(at) || at[0] > 148)
+                .collect(),
+        };
+        for ([x, y], rests) in places().into_iter().zip(scene.rests()) {
+            assert_eq!(rests, x > 148, "({x}, {y})");
+        }
+    }
+
+    /// Where there is no texture nothing is tracked: it neither rests nor moves.
+    #[test]
+    fn what_is_not_tracked_has_no_answer() {
+        let mut scene = scene();
+        let textures = [0, SHIFT_PX].map(|by_px| {
+            let texture = texture();
+            GrayImage::from_fn(160, 120, |x, y| match (x, is_in(PATCH_PX, x, y)) {
+                (0..45, _) => 90,
+                (_, true) => texture[(x + by_px, y)],
+                _ => texture[(x, y)],
+            })
+        });
+        scene.images = pyramids([&textures[0], &textures[1]]);
+        assert_eq!(scene.restored(), 0, "no suspect is tracked to its place");
+        let moves = places().into_iter().zip(scene.moves());
+        let plain = moves.filter(|([x, _], moves)| *x < 28 && *moves);
+        assert_eq!(plain.count(), 0, "plain");
     }
 }

@@ -232,4 +232,101 @@ mod tests {
         let missing = [28.0 / 60.0 * 2.0, 0.0, 2.0];
         assert_eq!(query(&free_space, missing), Visibility::Unknown, "no depth");
     }
+
+    /// The point that is seen at a pixel, at this depth.
+    fn point(x: f64, y: f64, z: f64) -> [f64; 3] {
+        camera().unproject(&Vector2::new(x, y), z).into()
+    }
+
+    /// One pixel of 2 m and one of 5 m before a wall at 3 m, in the cells (5, 3) and (10, 7): they count for the nine
+    /// cells around them.
+    #[test]
+    fn the_nearest_and_the_farthest_of_nine_cells_count() {
+        let mut depth = DepthImage::new(64, 48, 3.0);
+        depth[(23, 12)] = 2.0;
+        depth[(40, 31)] = 5.0;
+        let free_space = FreeSpace::new(&depth, 8.0);
+        for (x, y) in (0..12usize).flat_map(|y| (0..16usize).map(move |x| (x, y))) {
+            let at = |z| point((4 * x) as f64 + 1.0, (4 * y) as f64 + 2.0, z);
+            let near = x.abs_diff(5) <= 1 && y.abs_diff(3) <= 1;
+            let found = free_space.nearest_m(&Vector3::from(at(7.0)), &camera());
+            assert_eq!(found, Some(if near { 2.0 } else { 3.0 }), "({x}, {y})");
+            let expected = match x.abs_diff(10) <= 1 && y.abs_diff(7) <= 1 {
+                true => Visibility::OnSurface(Label::Static),
+                false => Visibility::Occluded,
+            };
+            assert_eq!(query(&free_space, at(4.0)), expected, "({x}, {y})");
+        }
+    }
+
+    #[test]
+    fn depths_that_are_missing_or_too_far_are_unknown() {
+        for (depth_m, nearest_m) in [
+            (6.0, Some(6.0)),
+            (6.25, None),
+            (0.0, None),
+            (-1.0, None),
+            (f32::NAN, None),
+            (f32::INFINITY, None),
+        ] {
+            let free_space = FreeSpace::new(&DepthImage::new(64, 48, depth_m), 6.0);
+            let at = Vector3::new(0.1, -0.2, 1.0);
+            assert_eq!(free_space.nearest_m(&at, &camera()), nearest_m, "{depth_m}");
+            let is_unknown = query(&free_space, at.into()) == Visibility::Unknown;
+            assert_eq!(is_unknown, nearest_m.is_none(), "{depth_m}");
+            let behind = Vector3::new(0.0, 0.0, -1.0);
+            assert_eq!(free_space.nearest_m(&behind, &camera()), None, "behind");
+        }
+    }
+
+    /// Columns of 2 m and 3 m in turn; σ is 0.01 z² = 0.04 m at the nearest. A moving object is up to 0.2 m deep.
+    #[test]
+    fn sigma_is_that_of_the_nearest_depth() {
+        let depth = DepthImage::from_fn(64, 48, |x, _| [2.0, 3.0][x % 2]);
+        let mut free_space = FreeSpace::new(&depth, 8.0);
+        let mut moving = MaskImage::new(16, 12, 0);
+        moving[(3, 9)] = MOVING;
+        moving[(5, 5)] = 128;
+        free_space.set_moving(moving);
+        let noise = DepthNoise {
+            per_m: 0.01,
+            floor_m: 0.001,
+        };
+        let query = |x, y, z| {
+            let p = Vector3::from(point(x, y, z));
+            free_space.query(&p, &camera(), &Se3::identity(), &noise)
+        };
+        use Visibility::{InFront, Occluded, OnSurface};
+        let [still, moves] = [Label::Static, Label::Dynamic].map(OnSurface);
+        for (z, at_rest, moving) in [
+            (1.97, still, moves),
+            (2.19, still, moves),
+            (2.21, still, Occluded),
+            (3.11, still, Occluded),
+            (3.13, Occluded, Occluded),
+        ] {
+            for [x, y] in [[38.0, 14.0], [21.0, 22.0], [33.0, 33.0]] {
+                assert_eq!(query(x, y, z), at_rest, "({x}, {y}), {z} m");
+            }
+            assert_eq!(query(13.0, 38.0, z), moving, "moving, {z} m");
+        }
+        for [x, y] in [[38.0, 14.0], [13.0, 38.0]] {
+            for (z, expected) in [(1.95, 1.25), (1.0, 25.0)] {
+                match query(x, y, z) {
+                    InFront(sigmas) => assert!((sigmas - expected).abs() < 1e-9, "{sigmas}"),
+                    other => panic!("{other:?} at {z} m"),
+                }
+            }
+        }
+    }
+
+    /// Barrel distortion of the corner pulls it two pixels inwards, into another cell.
+    #[test]
+    fn cells_are_those_of_the_recorded_image() {
+        let mut camera = camera();
+        camera.distortion.k1 = -0.25;
+        // r² = 0.49², and 1 - 0.25 r² = 0.940 of 29.4 px is 27.6 px.
+        let p = Vector3::new(0.49, 0.0, 1.0);
+        assert_eq!(cell_of(&p, &camera), Some((14, 6)), "pixel 59, not 61");
+    }
 }

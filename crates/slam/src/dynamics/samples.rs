@@ -121,9 +121,12 @@ impl Lattice {
 
 #[cfg(test)]
 mod tests {
+    use garad_core::{Distortion, Se3};
+    use nalgebra::Vector6;
+
     use super::*;
     use crate::config::Config;
-    use crate::testing::{World, wall};
+    use crate::testing::{World, keypoints, wall};
 
     #[test]
     fn samples_search_beside_a_hole() {
@@ -173,5 +176,103 @@ mod tests {
         let count = of_all.len();
         of_all.dedup();
         assert_eq!((count, of_all.len()), (1200, 1200), "each cell once");
+    }
+
+    /// 70 x 50 pixels of a lens with distortion: 5 x 4 blocks of 16 px, the last ones cut off.
+    fn world() -> World {
+        let mut camera = Camera::pinhole((70, 50), [60.0, 50.0, 36.0, 22.0]).expect("valid");
+        camera.distortion = Distortion {
+            k1: -0.2,
+            ..Distortion::default()
+        };
+        World::with_camera(camera, Config::default())
+    }
+
+    fn pose() -> Se3 {
+        Se3::exp(&Vector6::new(0.3, -0.2, 0.5, 0.2, -0.1, 0.4))
+    }
+
+    /// The point of the world whose image is recorded at this pixel, typed again.
+    fn expected(camera: &Camera, [x, y]: [f64; 2], depth_m: f64) -> Vector3<f64> {
+        let uv = camera.undistort_pixel(&Vector2::new(x, y)).expect("inside");
+        let ray = Vector3::new((uv.x - 36.0) / 60.0, (uv.y - 22.0) / 50.0, 1.0);
+        pose().rotation.matrix().transpose() * (ray * depth_m - pose().translation)
+    }
+
+    fn assert_sample(sample: &Sample, camera: &Camera, px: [f64; 2], depth_m: f64) {
+        assert_eq!(sample.px, Vector2::from(px), "recorded pixel");
+        assert!((sample.depth_m - depth_m).abs() < 1e-6, "{px:?}");
+        let off = (sample.p_world - expected(camera, px, depth_m)).norm();
+        assert!(off < 1e-6, "{px:?}: {off} m");
+    }
+
+    #[test]
+    fn keypoints_with_depth_are_samples_under_their_own_index() {
+        let world = world();
+        let camera = &world.context.camera;
+        let depth = DepthImage::from_fn(70, 50, |x, _| if x < 30 { 2.0 } else { 3.0 });
+        let places = keypoints([[5, 7], [29, 20], [60, 40], [12, 33]]);
+        let mut frame = world.frame_of(0, &places, &depth);
+        frame.camera_from_world = pose();
+        let samples = keypoint_samples(&frame, camera);
+        let indices: Vec<usize> = samples.iter().map(|(i, _)| *i).collect();
+        assert_eq!(indices, [0, 2, 3], "the second is on a depth edge");
+        for ((_, sample), (px, depth_m)) in
+            samples
+                .iter()
+                .zip([([5.0, 7.0], 2.0), ([60.0, 40.0], 3.0), ([12.0, 33.0], 2.0)])
+        {
+            assert_sample(sample, camera, px, depth_m);
+        }
+        frame.uv_px[2].x = f64::NAN;
+        let indices = keypoint_samples(&frame, camera).into_iter().map(|(i, _)| i);
+        assert_eq!(Vec::from_iter(indices), [0, 3], "one has no ideal pixel");
+    }
+
+    #[test]
+    fn a_sample_is_the_middle_of_its_block_in_the_world() {
+        let mut world = world();
+        world.context.config.features.max_depth_m = 2.5;
+        let depth = DepthImage::from_fn(70, 50, |x, _| if x < 48 { 2.0 } else { 2.6 });
+        let mut frame = world.frame_of(0, &[], &depth);
+        frame.camera_from_world = pose();
+        let lattice = Lattice::new(&world.context.camera, 16);
+        assert_eq!((lattice.columns, lattice.rows, lattice.len()), (5, 4, 20));
+        let samples = lattice.samples(&frame, &depth, &world.context);
+        assert_eq!(samples.len(), 20, "blocks");
+        for (i, sample) in samples.iter().enumerate() {
+            let (column, row) = (i % 5, i / 5);
+            let px = [16 * column + 8, (16 * row + 8).min(49)].map(|c| c as f64);
+            match sample {
+                Some(sample) => assert_sample(sample, &world.context.camera, px, 2.0),
+                None => assert!(column > 2, "block {i} has depth"),
+            }
+            assert_eq!(sample.is_some(), column < 3, "block {i}: 2.6 m is too far");
+        }
+    }
+
+    /// A hole of the sensor around (24, 24): the nearest depth is taken, right before left before below before above,
+    /// and none from 8 px on.
+    #[test]
+    fn beside_a_hole_the_order_is_right_left_below_above() {
+        let lattice = Lattice::new(&world().context.camera, 16);
+        let at = |filled: &[(usize, usize)]| {
+            let mut depth = DepthImage::new(70, 50, 0.0);
+            for (k, place) in filled.iter().enumerate() {
+                depth[*place] = 1.0 + k as f32;
+            }
+            let found = lattice.depths(&depth, 8.0)[6];
+            found.map(|([x, y], _)| (x, y))
+        };
+        let [right, left, below, above] = [(27, 24), (21, 24), (24, 27), (24, 21)];
+        assert_eq!(at(&[above, below, left, right]), Some(right));
+        assert_eq!(at(&[above, below, left]), Some(left));
+        assert_eq!(at(&[above, below]), Some(below));
+        assert_eq!(at(&[above, (28, 24)]), Some(above), "nearer");
+        assert_eq!(at(&[(31, 24)]), Some((31, 24)), "7 px");
+        assert_eq!(
+            at(&[(32, 24), (16, 24), (24, 32), (24, 16), (27, 27)]),
+            None
+        );
     }
 }

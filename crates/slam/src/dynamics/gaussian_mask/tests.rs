@@ -324,3 +324,27 @@ fn without_dynamic_gaussians_everything_is_static() {
         assert_eq!(labels.restored, [], "landmarks");
     }
 }
+
+/// A spot of 13 px is above 0.5 up to 14.7 px: the keypoint at x = 92, 12 px beside it, moves. The cells reach to 95 px; that at
+/// x = 100 is in the second cell beside them, which a reach of 5 px covers and one of 4 px does not.
+#[test]
+fn keypoints_within_reach_of_the_mask_are_not_used() {
+    for (reach_px, unused) in [(0, 1), (4, 1), (5, 2), (8, 2), (9, 2), (13, 3)] {
+        let mut world = world(GaussianMaskConfig::default());
+        world.context.config.labels.reach_px = reach_px;
+        let spot = spots(&[[80.0, 60.0]], WALL_M, 13.0, 0.95);
+        let frame = world.frame(20, &wall());
+        let labels = frame_labels(&world, &spot, (&frame, &wall()), None);
+        let columns = [92, 100, 108, 116];
+        assert_eq!(
+            row_of(&labels, 60, &columns),
+            [Dynamic, Static, Static, Static]
+        );
+        let in_use = columns.map(|x| {
+            let at = places().iter().position(|at| *at == [x, 60]);
+            labels.in_use[at.expect("a keypoint is there")]
+        });
+        let expected = [0, 1, 2, 3].map(|k| k >= unused);
+        assert_eq!(in_use, expected, "{reach_px} px");
+    }
+}
