@@ -164,6 +164,8 @@ struct Columns {
     scale: [usize; 3],
     rotation: [usize; 4],
     label: Option<usize>,
+    /// Names of all of these but the label, in the order of the file.
+    names: Vec<(usize, String)>,
 }
 
 impl Columns {
@@ -230,7 +232,7 @@ impl Columns {
             }
         };
         let rest = (0..rest_count).map(|i| float(&format!("f_rest_{i}")));
-        Ok(Self {
+        let mut found = Self {
             degree,
             mean: [float("x")?, float("y")?, float("z")?],
             dc: [float("f_dc_0")?, float("f_dc_1")?, float("f_dc_2")?],
@@ -244,7 +246,15 @@ impl Columns {
                 float("rot_3")?,
             ],
             label,
-        })
+            names: Vec::new(),
+        };
+        let triples = [found.mean, found.dc, found.scale];
+        let read = [triples.as_flattened(), &found.rest, &found.rotation];
+        let read = [&read.concat()[..], &[found.opacity]].concat();
+        let names = columns.iter().map(|(name, &(i, _))| (i, name.clone()));
+        found.names = names.filter(|(i, _)| read.contains(i)).collect();
+        found.names.sort_unstable();
+        Ok(found)
     }
 
     /// Appends the Gaussian of one vertex, or returns what was found and expected.
@@ -265,10 +275,8 @@ impl Columns {
         sh.extend(higher.map(|triple| triple.map(float)));
         let (mean, scale) = (self.mean.map(float), self.scale.map(float));
         let opacity = float(self.opacity);
-        let geometry = [&mean[..], &scale, &quaternion, &[opacity]];
-        let numbers = geometry.into_iter().flatten().chain(sh.as_flattened());
-        if !numbers.copied().all(f32::is_finite) {
-            let found = "a number that is not finite".to_owned();
+        if let Some((at, name)) = self.names.iter().find(|(at, _)| !float(*at).is_finite()) {
+            let found = format!("{name} is not finite ({})", float(*at));
             return Err((found, "finite numbers"));
         }
         #[allow(clippy::float_cmp, reason = "labels are exactly 0 or 1")]
