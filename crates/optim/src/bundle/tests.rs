@@ -129,7 +129,10 @@ fn a_long_path_is_one_bundle(solver: LinearSolver) {
     }
 }
 
-with_each_solver! { a_long_path_is_one_bundle }
+with_each_solver! {
+    a_long_path_is_one_bundle
+    free_and_fixed_poses_by_turns
+}
 
 /// A free pose without a single observation has no equation; the others are still solved.
 #[test]
@@ -417,8 +420,6 @@ fn free_and_fixed_poses_by_turns(solver: LinearSolver) {
         );
     }
 }
-
-with_each_solver! { free_and_fixed_poses_by_turns }
 
 #[test]
 fn trials_and_tolerance_are_those_asked_for() {
