@@ -251,7 +251,9 @@ impl Columns {
         let triples = [found.mean, found.dc, found.scale];
         let read = [triples.as_flattened(), &found.rest, &found.rotation];
         let read = [&read.concat()[..], &[found.opacity]].concat();
-        let names = columns.iter().map(|(name, &(i, _))| (i, name.clone()));
+        let names = columns
+            .iter()
+            .map(|(name, &(i, _))| (i, (*name).to_owned()));
         found.names = names.filter(|(i, _)| read.contains(i)).collect();
         found.names.sort_unstable();
         Ok(found)

@@ -343,7 +343,7 @@ mod tests {
         }
     }
 
-    /// A single draw of eight among pairs of which half are wrong is clean or not by its seed.
+    /// A single draw of eight among 24 pairs of which four are wrong is clean in one case of six, by its seed.
     #[test]
     fn the_seed_decides_the_draws() {
         let [uv1, mut uv2] = pairs(24, 0, 0.0, 6);
@@ -351,7 +351,7 @@ mod tests {
             uv.y += 900.0 + 370.0 * i as f64;
         }
         let mut clean_seeds = 0;
-        for seed in 0..24 {
+        for seed in 0..60 {
             let config = RansacConfig {
                 seed,
                 max_samples: 1,
@@ -363,6 +363,6 @@ mod tests {
             assert_eq!(inliers == 20, clean, "seed {seed}: {inliers}");
             clean_seeds += usize::from(clean);
         }
-        assert!((2..20).contains(&clean_seeds), "{clean_seeds} of 24");
+        assert!((2..30).contains(&clean_seeds), "{clean_seeds} of 60");
     }
 }
