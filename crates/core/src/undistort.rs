@@ -198,7 +198,7 @@ mod tests {
     #[test]
     fn both_axes_by_hand() {
         let mut camera = Camera::pinhole((30, 22), [26.0, 21.0, 13.0, 11.5]).expect("valid");
-        camera.distortion.k1 = -0.15;
+        camera.distortion.k1 = 0.1;
         camera.distortion.p1 = 0.02;
         let rgb = RgbImage::from_fn(30, 22, |x, y| {
             [x, y, 3 * x + 5 * y].map(|v| u8::try_from(v).expect("small"))

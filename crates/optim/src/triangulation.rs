@@ -363,15 +363,16 @@ mod tests {
             "{}",
             at.covariance
         );
-        let turned = Se3::new(
-            So3::exp(&Vector3::new(0.3, 0.0, 0.0)),
-            Vector3::new(0.0, 0.0, 1.0),
-        );
+        // Turned by 0.3 about x, then by 0.5 about y: its axis is (-sin b, cos b sin a, cos b cos a).
+        let rotation = So3::exp(&(Vector3::y() * 0.5)) * So3::exp(&(Vector3::x() * 0.3));
+        let turned = Se3::new(rotation, Vector3::new(0.0, 0.0, 1.0));
         let (rho, sigma) = at.inverse_depth(&turned);
-        let z = 4.0 * libm::cos(0.3) + 1.0;
-        let (s, c) = (libm::sin(0.3), libm::cos(0.3));
+        let ((sa, ca), (sb, cb)) = (libm::sincos(0.3), libm::sincos(0.5));
+        let z = 4.0 * cb * ca + 1.0;
         assert!((rho - 1.0 / z).abs() < 1e-12, "{rho}");
-        let expected = (s * s / h[1] + c * c / h[2]).sqrt() / (z * z);
+        let axis = [-sb, cb * sa, cb * ca];
+        let variance = (0..3).fold(0.0, |sum, i| sum + axis[i] * axis[i] / h[i]);
+        let expected = variance.sqrt() / (z * z);
         assert!((sigma - expected).abs() < 1e-12, "{sigma} {expected}");
     }
 }

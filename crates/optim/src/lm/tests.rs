@@ -128,15 +128,25 @@ fn damping_follows_the_gain_trial_by_trial() {
     );
 }
 
+/// What, cost, answers, configuration, reason, taken, rejected.
+type Case<'a> = (
+    &'a str,
+    f64,
+    &'a [Answer],
+    LmConfig,
+    StopReason,
+    usize,
+    usize,
+);
+
 #[test]
 fn every_reason_to_stop_on_both_sides() {
     let seven = config(7);
     let start_at = |lambda: f64| LmConfig { lambda, ..seven };
     let never = [None; 20];
     let up = [Some((4.0, 17.0)); 20];
-    // what, cost, answers, configuration, reason, taken, rejected
     #[rustfmt::skip]
-    let cases: [(&str, f64, &[Answer], LmConfig, StopReason, usize, usize); 13] = [
+    let cases: [Case<'_>; 13] = [
         ("an eighth of 16 is expected", 16.0, &[Some((2.0, 8.0))], seven, StopReason::Converged, 0, 0),
         ("more is expected, then nothing is solved", 16.0, &[Some((2.001, 8.0))], seven, StopReason::IterationLimit, 1, 6),
         ("at the floor", 0.25, &[], seven, StopReason::Converged, 0, 0),

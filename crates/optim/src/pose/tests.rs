@@ -86,7 +86,7 @@ fn cost_at_start(i: usize, off_v_px: f64, kernel: bool) -> f64 {
     if i % 3 == 1 {
         s += du * du / (right_sigma * right_sigma);
     }
-    let delta = if i % 3 == 0 { 2.0 } else { 3.0 };
+    let delta = if i.is_multiple_of(3) { 2.0 } else { 3.0 };
     if kernel && s > delta * delta {
         delta * s.sqrt() - 0.5 * delta * delta
     } else {
@@ -159,7 +159,7 @@ fn what_was_left_out_is_checked_again() {
     for i in [0, 3, 6, 9] {
         seen[i].uv_px.y += 9.0;
     }
-    let wrong = |i: usize| i < 10 && i % 3 == 0;
+    let wrong = |i: usize| i < 10 && i.is_multiple_of(3);
     let after = |rounds: usize| {
         let config = PoseConfig {
             rounds,
@@ -169,7 +169,8 @@ fn what_was_left_out_is_checked_again() {
         solve(&seen, &moved(DX_M, 0.0), &config)
     };
     let inliers = |but_one: bool| -> Vec<bool> {
-        (0..14).map(|i| !wrong(i) && !(but_one && i == 1)).collect()
+        let out = |i: usize| wrong(i) || (but_one && i == 1);
+        (0..14).map(|i| !out(i)).collect()
     };
     assert_eq!(after(1).inlier, inliers(true), "after the first round");
     assert_eq!(after(2).inlier, inliers(false), "after the second");
