@@ -443,8 +443,8 @@ mod tests {
         assert_eq!(features_per_level(&config), [33, 22, 15], "shares");
         let mut orb = OrbExtractor::new(config).expect("valid");
         assert_eq!(
-            [0, 1, 2].map(|l| orb.level_scale(l)),
-            [1.0, 1.5, 2.25],
+            [0, 1, 2].map(|l| orb.level_scale(l).to_bits()),
+            [1.0f32, 1.5, 2.25].map(f32::to_bits),
             "scales"
         );
         let found = orb
