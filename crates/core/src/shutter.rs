@@ -119,4 +119,35 @@ mod tests {
             assert!((ideal - px).norm() > 0.1, "it moved");
         }
     }
+
+    /// The row that counts is the recorded one, not where it lies without distortion: 470 of 480 rows, with a lens that
+    /// moves it by several pixels.
+    #[test]
+    fn the_recorded_row_tells_the_time() {
+        let mut camera = Camera::pinhole((640, 480), [520.0, 470.0, 310.0, 250.0]).expect("valid");
+        camera.distortion.k1 = 0.2;
+        let turn = RollingShutter {
+            turn_rad: Vector3::new(0.03, -0.05, 0.02),
+        };
+        let px = Vector2::new(600.0, 470.0);
+        let straight = camera.undistort_pixel(&px).expect("invertible");
+        assert!((straight.y - px.y).abs() > 5.0, "{straight}");
+        let row_time = (470.0 - 239.5) / 480.0;
+        assert!(
+            (RollingShutter::row_time(470.0, 480) - row_time).abs() < 1e-15,
+            "s"
+        );
+        let back = So3::exp(&(turn.turn_rad * -row_time)).matrix();
+        let ray = Vector3::new(
+            (straight.x - 310.0) / 520.0,
+            (straight.y - 250.0) / 470.0,
+            1.0,
+        );
+        let p = back * ray;
+        let expected = Vector2::new(520.0 * p.x / p.z + 310.0, 470.0 * p.y / p.z + 250.0);
+        let found = turn.ideal_pixel(&camera, &px).expect("in front");
+        assert!((found - expected).norm() < 1e-9, "{found} {expected}");
+        let again = turn.recorded_pixel(&camera, &found);
+        assert!((again - px).norm() < 1e-4, "{again}");
+    }
 }

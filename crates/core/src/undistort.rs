@@ -192,4 +192,42 @@ mod tests {
             "same bits"
         );
     }
+
+    /// 3 x + 5 y is bilinear, so that an undistorted pixel holds the value at the place where it was seen; the nearest
+    /// pixel is that of the rounded place, along both axes and at the rim.
+    #[test]
+    fn both_axes_by_hand() {
+        let mut camera = Camera::pinhole((30, 22), [26.0, 21.0, 13.0, 11.5]).expect("valid");
+        camera.distortion.k1 = 0.1;
+        camera.distortion.p1 = 0.02;
+        let rgb = RgbImage::from_fn(30, 22, |x, y| {
+            [x, y, 3 * x + 5 * y].map(|v| u8::try_from(v).expect("small"))
+        });
+        let straight = Undistortion::new(&camera);
+        let color = straight.color(&rgb, Par::Seq);
+        let places = Image::from_fn(30, 22, |x, y| (x, y));
+        let nearest = straight.nearest(&places, (99, 99));
+        let (mut seen, mut missing) = (0, 0);
+        for y in 0..22 {
+            for x in 0..30 {
+                let at = camera.distort_pixel(&Vector2::new(x as f64, y as f64));
+                let inside = at.x >= 0.0 && at.y >= 0.0 && at.x <= 29.0 && at.y <= 21.0;
+                if !inside {
+                    assert_eq!(nearest[(x, y)], (99, 99), "({x}, {y}) is unseen");
+                    missing += 1;
+                    continue;
+                }
+                seen += 1;
+                let expected = [at.x, at.y, 3.0 * at.x + 5.0 * at.y];
+                for (found, expected) in color[(x, y)].iter().zip(expected) {
+                    let error = (f64::from(*found) * 255.0 - expected).abs();
+                    assert!(error < 1e-4, "({x}, {y}): {error}");
+                }
+                let (nx, ny) = nearest[(x, y)];
+                let off = (nx as f64 - at.x).abs().max((ny as f64 - at.y).abs());
+                assert!(off < 0.500_01, "({x}, {y}): {nx}, {ny} for {at}");
+            }
+        }
+        assert!(seen > 400 && missing > 3, "{seen} seen, {missing} not");
+    }
 }

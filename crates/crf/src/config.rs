@@ -356,7 +356,7 @@ mod tests {
     #[test]
     fn each_setting_outside_its_range_is_named() {
         type Break = fn(&mut CrfConfig);
-        let breaks: [(&str, Break); 12] = [
+        let breaks: [(&str, Break); 24] = [
             ("unary.reprojection.mean", |c| {
                 c.unary.reprojection.mean = f64::NAN
             }),
@@ -384,6 +384,28 @@ mod tests {
                 c.mean_field.method = Method::Fast { tail: 1.0 }
             }),
             ("threshold", |c| c.threshold = 1.0),
+            ("unary.reprojection.sigma", |c| {
+                c.unary.reprojection.sigma = -1.0
+            }),
+            ("unary.depth.mean", |c| c.unary.depth.mean = f64::INFINITY),
+            ("unary.depth.weight", |c| c.unary.depth.weight = f64::NAN),
+            ("unary.observations.sigma", |c| {
+                c.unary.observations.sigma = 0.0
+            }),
+            ("unary.observations.weight", |c| {
+                c.unary.observations.weight = -0.5
+            }),
+            ("unary.epipolar.mean", |c| c.unary.epipolar.mean = f64::NAN),
+            ("unary.epipolar.sigma", |c| c.unary.epipolar.sigma = 0.0),
+            ("kernels.sigma_reproj_px", |c| {
+                c.kernels.sigma_reproj_px = 0.0
+            }),
+            ("kernels.sigma_observations", |c| {
+                c.kernels.sigma_observations = -2.0
+            }),
+            ("unary.clamp", |c| c.unary.clamp = 0.0),
+            ("mean_field.damping", |c| c.mean_field.damping = -0.1),
+            ("threshold", |c| c.threshold = 0.0),
         ];
         for (name, spoil) in breaks {
             let mut config = CrfConfig::default();

@@ -189,4 +189,58 @@ mod tests {
         );
         assert!(feature(&lacking, &lacking, &config) == 0.0, "both lack it");
     }
+
+    /// Every width and weight away from its default: α 3 σ of 0.25 apart, γ 2 σ of 2.5, metres ½ σ of 0.8, pixels
+    /// 1.5 σ of 8.
+    #[test]
+    fn widths_and_weights_are_those_of_the_configuration() {
+        let mut a = node(0.1, Some([10.0, 20.0]));
+        a.cues.reproj_px = Some(1.0);
+        a.cues.observations = Some(3);
+        let mut b = node(0.5, Some([10.0, 32.0]));
+        b.cues.reproj_px = Some(1.75);
+        b.cues.observations = Some(8);
+        let config = KernelConfig {
+            feature_weight: 40.0,
+            sigma_reproj_px: 0.25,
+            sigma_observations: 2.5,
+            position_weight: 0.7,
+            sigma_m: 0.8,
+            sigma_px: 8.0,
+            ..KernelConfig::default()
+        };
+        let features = libm::exp(-4.5 - 2.0);
+        let both = libm::exp(-0.125 - 1.125);
+        assert!((feature(&a, &b, &config) - features).abs() < 1e-15, "eq. 5");
+        assert!((position(&a, &b, &config) - both).abs() < 1e-15, "eq. 6");
+        let cost = pairwise([Label::Static, Label::Dynamic], [&a, &b], &config);
+        assert!(
+            (cost - 40.0 * features - 0.7 * both).abs() < 1e-15,
+            "eq. 4: {cost}"
+        );
+        let terms = |terms, distance| {
+            position(
+                &a,
+                &b,
+                &KernelConfig {
+                    terms,
+                    distance,
+                    ..config.clone()
+                },
+            )
+        };
+        for (got, exponent) in [
+            (terms(PositionTerms::Space, Distance::Squared), 0.125),
+            (terms(PositionTerms::Pixel, Distance::Squared), 1.125),
+            // d / 2σ²: 0.4/1.28 and 12/128
+            (terms(PositionTerms::Space, Distance::Linear), 0.3125),
+            (terms(PositionTerms::Pixel, Distance::Linear), 0.093_75),
+            (terms(PositionTerms::Both, Distance::Linear), 0.406_25),
+        ] {
+            assert!(
+                (got - libm::exp(-exponent)).abs() < 1e-15,
+                "{got} for {exponent}"
+            );
+        }
+    }
 }

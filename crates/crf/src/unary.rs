@@ -309,4 +309,99 @@ mod tests {
         close(p_static(&far, &mean), 0.3);
         close(log_odds(&far, &mean), libm::log(0.7 / 0.3));
     }
+
+    /// Each setting away from its default: exp(-d²/2σ²) of each cue alone, in its own weights, with its own clamp and its own
+    /// least number of observations.
+    #[test]
+    fn every_cue_has_its_own_model_and_weight() {
+        let mut config = UnaryConfig {
+            reprojection: CueModel {
+                weight: 2.0,
+                ..CueModel::new(1.1, 0.5, Side::Above)
+            },
+            depth: CueModel {
+                weight: 0.5,
+                ..CueModel::new(2.9, 0.7, Side::Both)
+            },
+            observations: CueModel {
+                weight: 3.0,
+                ..CueModel::new(9.0, 4.0, Side::Below)
+            },
+            epipolar: CueModel {
+                weight: 1.5,
+                ..CueModel::new(0.4, 0.3, Side::Above)
+            },
+            pooling: Pooling::Mean,
+            clamp: 0.02,
+            min_observations: 4,
+            ..UnaryConfig::default()
+        };
+        let cues = Cues {
+            reproj_px: Some(1.6),
+            depth_residual: Some(1.5),
+            observations: Some(5),
+            epipolar_px: Some(1.0),
+        };
+        // One σ, two, one and two.
+        let (weights, sum) = (7.0, 2.0 * ONE + 0.5 * TWO + 3.0 * ONE + 1.5 * TWO);
+        close(p_static(&cues, &config), sum / weights);
+        config.height = Height::Density;
+        let per = |sigma: f64| 1.0 / (sigma * (2.0 * std::f64::consts::PI).sqrt());
+        let sum = 2.0 * ONE * per(0.5)
+            + 0.5 * TWO * per(0.7)
+            + 3.0 * ONE * per(4.0)
+            + 1.5 * TWO * per(0.3);
+        close(p_static(&cues, &config), sum / weights);
+        config.height = Height::Unit;
+        config.pooling = Pooling::Geometric;
+        close(
+            p_static(&cues, &config),
+            libm::exp(-(0.5 * 5.0 + 2.0 * 2.0) / weights),
+        );
+        for (observations, thin) in [(3, true), (4, false)] {
+            let cues = Cues {
+                observations: Some(observations),
+                reproj_px: Some(9.0),
+                ..Cues::default()
+            };
+            assert_eq!(is_thin(&cues, &config), thin, "{observations} observations");
+            close(p_static(&cues, &config), if thin { 0.5 } else { 0.02 });
+        }
+        let perfect = Cues {
+            reproj_px: Some(0.0),
+            ..Cues::default()
+        };
+        close(p_static(&perfect, &config), 0.98);
+    }
+
+    /// exp(-1/2) = 0.60653 reaches its threshold, exp(-0.502) = 0.6053 does not; each kind of node has its own.
+    #[test]
+    fn hard_decisions_by_their_own_thresholds() {
+        let config = UnaryConfig {
+            reprojection: CueModel::new(1.0, 0.5, Side::Above),
+            epipolar: CueModel::new(1.0, 0.5, Side::Above),
+            pooling: Pooling::Mean,
+            decision: Decision::Hard {
+                score: Score::Sum,
+                threshold: 0.6065,
+                threshold_with_epipolar: 1.2,
+                confidence: 0.9,
+            },
+            ..UnaryConfig::default()
+        };
+        let p = |reproj_px: f64, epipolar_px: Option<f64>| {
+            let cues = Cues {
+                reproj_px: Some(reproj_px),
+                epipolar_px,
+                ..Cues::default()
+            };
+            p_static(&cues, &config)
+        };
+        close(p(1.5, None), 0.9);
+        close(p(1.501, None), 0.1);
+        // 0.607 + 0.607 is above 1.2; 0.607 + 0.135 and 1 + 0.135 are above the other threshold alone.
+        close(p(1.5, Some(1.5)), 0.9);
+        close(p(1.5, Some(2.0)), 0.1);
+        close(p(0.5, Some(2.0)), 0.1);
+    }
 }

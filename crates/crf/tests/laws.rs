@@ -519,3 +519,79 @@ fn lists_of_different_length() {
         "message"
     );
 }
+
+/// One node that hears only itself: ℓ = u + ω (2 q - 1) and q ← (1 - d) σ(ℓ) + d q, with ω and d away from their defaults,
+/// for none, one and three iterations; a label is dynamic above the threshold.
+#[test]
+fn a_single_node_by_hand() {
+    let sigmoid = |x: f64| 1.0 / (1.0 + libm::exp(-x));
+    let (u, weight, damping) = (-0.4, 0.7, 0.25);
+    let mut q = vec![sigmoid(u)];
+    for i in 0..3 {
+        let logit = u + weight * (2.0 * q[i] - 1.0);
+        q.push((1.0 - damping) * sigmoid(logit) + damping * q[i]);
+    }
+    for iterations in [0, 1, 3] {
+        let mut config = CrfConfig::default();
+        config.kernels.position_weight = weight;
+        config.mean_field.damping = damping;
+        config.mean_field.iterations = iterations;
+        let expected = q[iterations];
+        for (threshold, label) in [
+            (expected - 1e-6, Label::Dynamic),
+            (expected + 1e-6, Label::Static),
+        ] {
+            config.threshold = threshold;
+            for method in [Method::Reference, Method::Fast { tail: 1e-3 }] {
+                let crf = Crf::new(with_method(&config, method)).expect("valid");
+                let found = crf.infer_from_log_odds(&[Node::default()], &[u], Par::Seq);
+                let found = found.expect("one node");
+                let error = (found.dynamic[0] - expected).abs();
+                assert!(error < 1e-14, "{iterations} iterations: {found:?}");
+                assert_eq!(
+                    found.labels,
+                    [label],
+                    "{iterations} iterations, {threshold}"
+                );
+                let change = if iterations == 0 {
+                    0.0
+                } else {
+                    (q[iterations] - q[iterations - 1]).abs()
+                };
+                assert!((found.last_change - change).abs() < 1e-14, "{found:?}");
+            }
+        }
+        config.mean_field.self_message = false;
+        let alone = Crf::new(config).expect("valid");
+        let alone = alone.infer_from_log_odds(&[Node::default()], &[u], Par::Seq);
+        assert!(
+            (alone.expect("one node").dynamic[0] - q[0]).abs() < 1e-14,
+            "no neighbour"
+        );
+    }
+}
+
+/// Fewer than four observations keep the previous belief, and its label is by the same threshold.
+#[test]
+fn thin_nodes_by_their_least_number_and_the_threshold() {
+    let node = |observations, previous| Node {
+        cues: Cues {
+            observations: Some(observations),
+            ..Cues::default()
+        },
+        previous: Some(previous),
+        ..Node::default()
+    };
+    let mut config = CrfConfig::default();
+    config.unary.min_observations = 4;
+    config.threshold = 0.75;
+    let nodes = [node(3, 0.75), node(3, 0.76), node(3, 0.6), node(4, 0.9)];
+    let found = infer(&config, &nodes, Par::Seq);
+    let kept = [0.75, 0.76, 0.6]
+        .iter()
+        .zip(&found.dynamic)
+        .all(|(a, b)| (a - b).abs() < 1e-15);
+    assert!(kept && found.dynamic[3] < 0.5, "{found:?}");
+    let expected = [Label::Static, Label::Dynamic, Label::Static, Label::Static];
+    assert_eq!(found.labels, expected, "above 0.75");
+}

@@ -248,4 +248,40 @@ mod tests {
             prop_assert!(judge(&scaled, Alignment::Rigid) > 0.05, "the scale shows");
         }
     }
+
+    /// Stamps 30 ms late: all are pairs within 31 ms, none within 29 ms.
+    #[test]
+    fn the_time_limit_is_that_of_the_options() {
+        let truth: Vec<_> = walk(6, 0.0).iter().step_by(2).copied().collect();
+        let late = truth.iter().map(|pose| StampedPose {
+            t_s: pose.t_s + 0.03,
+            ..*pose
+        });
+        let late: Vec<_> = late.collect();
+        let judge = |max_dt_s| {
+            let options = AteOptions {
+                max_dt_s,
+                ..AteOptions::default()
+            };
+            ate(&truth, &late, &options).map(|a| a.stats.pairs)
+        };
+        assert_eq!(judge(0.031), Ok(3), "within 31 ms");
+        assert!(
+            matches!(judge(0.029), Err(EvalError::NoPairs { .. })),
+            "within 29 ms"
+        );
+        for (alignment, words) in [
+            (Alignment::None, "no alignment, nearest time within 0.5 s"),
+            (
+                Alignment::Similarity,
+                "similarity alignment (with scale), nearest time within 0.5 s",
+            ),
+        ] {
+            let options = AteOptions {
+                alignment,
+                max_dt_s: 0.5,
+            };
+            assert_eq!(options.describe(), words, "words");
+        }
+    }
 }

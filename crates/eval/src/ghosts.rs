@@ -132,4 +132,37 @@ mod tests {
         let mask = Image::new(2, 1, 0);
         assert!(ghosts(&image, &image, Some(&mask), 0.1).is_err(), "mask");
     }
+
+    /// Whatever the render has in a hole is no ghost and no coverage.
+    #[test]
+    fn holes_of_the_render_are_judged_and_empty() {
+        let background = row(&[4.0; 7]);
+        let rendered = row(&[
+            0.0,
+            -0.0,
+            -2.0,
+            f32::NAN,
+            f32::INFINITY,
+            f32::NEG_INFINITY,
+            3.6,
+        ]);
+        let found = ghosts(&rendered, &background, None, 0.3).expect("seven pixels");
+        assert_eq!((found.ghosts, found.pixels), (1, 7), "{found:?}");
+        assert!((found.coverage - 1.0 / 7.0).abs() < 1e-15, "{found:?}");
+        assert!((found.fraction - 1.0 / 7.0).abs() < 1e-15, "{found:?}");
+        let holes = row(&[-1.0, 4.0, f32::NAN, 4.0, 4.0, f32::NEG_INFINITY, 0.0]);
+        let found = ghosts(&row(&[3.0; 7]), &holes, None, 0.3).expect("three pixels");
+        assert_eq!(
+            (found.ghosts, found.pixels),
+            (3, 3),
+            "holes of the background"
+        );
+        let mask = Image::from_vec(7, 1, vec![0, 1, 0, 0, 255, 0, 0]).expect("7 pixels");
+        let found = ghosts(&row(&[3.0; 7]), &holes, Some(&mask), 0.3).expect("one pixel");
+        assert_eq!(
+            (found.ghosts, found.pixels),
+            (1, 1),
+            "any value but 0 is excluded"
+        );
+    }
 }

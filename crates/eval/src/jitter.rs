@@ -243,4 +243,36 @@ mod tests {
         let error = jitter(&truth, &truth, f64::NAN).expect_err("limit");
         assert!(matches!(error, EvalError::Option { .. }), "{error}");
     }
+
+    /// Steps of 0.1 s, and one of 0.139 or 0.141 s, of 0.061 or 0.059 s: 40 % of the median is the limit.
+    #[test]
+    fn a_step_within_forty_percent_of_the_median_counts() {
+        let truth = path(
+            &(0..400).map(|i| f64::from(i) * 0.01).collect::<Vec<_>>(),
+            straight,
+        );
+        for (step_s, triples) in [(0.139, 18), (0.141, 16), (0.061, 18), (0.059, 16)] {
+            let mut at_s = times(20);
+            for t in &mut at_s[9..] {
+                *t += step_s - 0.1;
+            }
+            let found = jitter(&truth, &path(&at_s, straight), 0.05).expect("triples");
+            assert_eq!(found.triples, triples, "a step of {step_s} s");
+        }
+    }
+
+    /// Ground truth every 0.1 s, frames 30 ms after it: associated within 40 ms and not within 20 ms.
+    #[test]
+    fn the_time_limit_is_that_of_the_caller() {
+        let truth = path(&times(30), straight);
+        let late: Vec<f64> = times(20).iter().map(|t| t + 0.03).collect();
+        let late = path(&late, straight);
+        assert_eq!(
+            jitter(&truth, &late, 0.04).expect("triples").triples,
+            18,
+            "40 ms"
+        );
+        let none = jitter(&truth, &late, 0.02);
+        assert!(matches!(none, Err(EvalError::NoPairs { .. })), "{none:?}");
+    }
 }

@@ -238,4 +238,48 @@ mod tests {
             assert!(matches!(error, EvalError::Option { .. }), "{error}");
         }
     }
+
+    /// Half a second at a drift of 0.2 m/s; steps by the partner nearest to their end.
+    #[test]
+    fn step_and_time_limit_are_those_of_the_options() {
+        let (truth, mut estimate) = (straight(30, 1.0, 0.0), straight(30, 1.2, 0.0));
+        let run = |estimate: &[StampedPose], delta_s: f64, max_dt_s: f64| {
+            let options = RpeOptions {
+                delta: RpeDelta::Seconds(delta_s),
+                max_dt_s,
+            };
+            rpe(&truth, estimate, &options)
+        };
+        let half = run(&estimate, 0.5, 0.02).expect("steps");
+        assert!((half.trans_m.max - 0.1).abs() < 1e-14, "{:?}", half.trans_m);
+        assert_eq!(
+            half.trans_m.pairs, 24,
+            "30 less 5, and none ends at the last"
+        );
+        let start = half.steps[0].0;
+        assert!(
+            start.abs() < 1e-15 && (half.steps[1].0 - 0.1).abs() < 1e-15,
+            "{:?}",
+            half.steps
+        );
+        // The partner of 0.28 s is the third.
+        let uneven = run(&estimate, 0.28, 0.02).expect("steps");
+        assert!(
+            (uneven.trans_m.max - 0.06).abs() < 1e-14,
+            "{:?}",
+            uneven.trans_m
+        );
+        for pose in &mut estimate {
+            pose.t_s += 0.03;
+        }
+        assert!(
+            matches!(run(&estimate, 0.5, 0.02), Err(EvalError::NoPairs { .. })),
+            "20 ms"
+        );
+        assert_eq!(
+            run(&estimate, 0.5, 0.04).expect("steps").trans_m.pairs,
+            24,
+            "40 ms"
+        );
+    }
 }

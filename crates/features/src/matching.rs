@@ -399,4 +399,38 @@ mod tests {
             prop_assert_eq!(forth, turned);
         }
     }
+
+    /// round(degrees / 30) at both sides of each half.
+    #[test]
+    fn bins_of_orb_slam_by_hand() {
+        for (deg, expected) in [
+            (0.0, 0),
+            (14.9, 0),
+            (15.1, 1),
+            (44.9, 1),
+            (45.1, 2),
+            (104.9, 3),
+            (105.1, 4),
+            (344.9, 11),
+            (345.1, 12),
+            (-14.9, 12),
+            (-15.1, 11),
+            (-180.1, 6),
+        ] {
+            assert_eq!(rotation_bin(deg, RotationBins::OrbSlam), expected, "{deg}");
+        }
+        for (deg, expected) in [
+            (-12.1, 28),
+            (-11.9, 29),
+            (179.9, 14),
+            (180.1, 15),
+            (347.9, 28),
+        ] {
+            assert_eq!(
+                rotation_bin(deg, RotationBins::FullCircle),
+                expected,
+                "{deg}"
+            );
+        }
+    }
 }

@@ -331,4 +331,67 @@ mod tests {
             "nothing equals nothing"
         );
     }
+
+    /// `tight` and `hard` in the unit of the tensor: 0.5 and 4.
+    #[test]
+    fn both_ends_of_a_band_by_hand() {
+        let class = Class::Banded {
+            tight: 0.5,
+            share: 0.5,
+            hard: 4.0,
+        };
+        for (got, passed, outside, worst) in [
+            ([1.5, 1.0], true, 0, 0.125),
+            ([1.5625, 1.0], true, 1, 0.140_625),
+            ([1.5625, 0.4375], false, 2, 0.140_625),
+            ([5.0, 1.0], true, 1, 1.0),
+            ([1.0, -3.0625], false, 1, 1.015_625),
+        ] {
+            let c = verdict(class, &[1.0, 1.0], &got);
+            assert_eq!((c.passed, c.outside), (passed, outside), "{got:?}: {c}");
+            assert!((c.worst - worst).abs() < 1e-15, "{got:?}: {c}");
+        }
+    }
+
+    /// The bound is that of the element that is worst.
+    #[test]
+    fn bounds_by_hand() {
+        let (expected, got) = ([-8.0, -3.0, 0.5], [-8.0, -2.0, 0.5]);
+        for (class, bound) in [
+            (
+                Class::AbsRel {
+                    abs: 0.25,
+                    rel: 0.5,
+                },
+                1.75,
+            ),
+            (
+                Class::Vector {
+                    abs: 0.5,
+                    rel: 0.25,
+                },
+                2.5,
+            ),
+            (
+                Class::Banded {
+                    tight: 0.1,
+                    share: 1.0,
+                    hard: 3.0,
+                },
+                3.0,
+            ),
+            (Class::Ulp(7), 7.0),
+            (Class::Exact, 0.0),
+        ] {
+            let c = verdict(class, &expected, &got);
+            assert!((c.bound - bound).abs() < 1e-15, "{class:?}: {}", c.bound);
+            assert_eq!(c.worst_index, [1], "{class:?}");
+            let exact = matches!(class, Class::Exact | Class::Ulp(_));
+            assert!(
+                exact || (c.worst - 1.0 / bound).abs() < 1e-15,
+                "{class:?}: {}",
+                c.worst
+            );
+        }
+    }
 }

@@ -99,4 +99,16 @@ mod tests {
         assert_eq!(Metrics::of(&[f64::NAN], &[1.0], 1), None, "NaN");
         assert_eq!(Metrics::of(&[1.0], &[1.0, 2.0], 1), None, "counts");
     }
+
+    /// (3, 4, 0) and (4, 0, 3): cosine 12/25, off by √26; rows of one number.
+    #[test]
+    fn direction_and_distance_by_hand() {
+        let m = Metrics::of(&[3.0, 4.0, 0.0], &[4.0, 0.0, 3.0], 1).unwrap();
+        assert!((m.cosine - 0.48).abs() < 1e-15, "{m}");
+        assert!((m.rel_l2 - 26f64.sqrt() / 5.0).abs() < 1e-15, "{m}");
+        assert_eq!((m.rows_missing, m.rows_extra, m.rows), (1, 1, 3), "{m}");
+        let opposite = Metrics::of(&[1.0, 2.0], &[-2.0, -4.0], 2).unwrap();
+        assert!((opposite.cosine + 1.0).abs() < 1e-15, "{opposite}");
+        assert!((opposite.rel_l2 - 3.0).abs() < 1e-15, "{opposite}");
+    }
 }

@@ -136,3 +136,92 @@ impl CaseVerdict {
         self.outputs.iter().max_by(by)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tensor::Tensor;
+    use crate::tol::{Class, Tolerance};
+
+    fn output(name: &str, verdict: Verdict, off: Option<f64>) -> OutputVerdict {
+        let tolerance = Tolerance {
+            name: "test",
+            class: Class::AbsRel { abs: 0.5, rel: 0.0 },
+            reason: "test",
+        };
+        let one = Tensor::from(vec![1.0]);
+        let compare = |off: f64| crate::compare::compare(&one, &[1.0 + off], &tolerance);
+        OutputVerdict {
+            name: name.to_owned(),
+            verdict,
+            dtype: None,
+            comparison: off.map(|off| compare(off).expect("one number")),
+            metrics: None,
+            note: None,
+        }
+    }
+
+    fn case(outcome: Outcome, outputs: Vec<OutputVerdict>) -> CaseVerdict {
+        CaseVerdict {
+            stage: "se3".to_owned(),
+            case: "c".to_owned(),
+            basis: "closed-form".to_owned(),
+            outcome,
+            outputs,
+        }
+    }
+
+    /// The worse verdict first, then the larger share of the tolerance; nothing to compare is least.
+    #[test]
+    fn the_worst_output_by_hand() {
+        let pass = |name, off| output(name, Verdict::Pass, off);
+        let outputs = [
+            pass("a", Some(0.2)),
+            pass("b", Some(0.4)),
+            pass("c", Some(0.3)),
+            pass("d", None),
+            output("e", Verdict::Missing, None),
+            output("f", Verdict::Fail, Some(0.6)),
+            output("g", Verdict::Fail, Some(0.7)),
+            output("h", Verdict::NonFinite, Some(0.1)),
+            output("i", Verdict::Shape, None),
+            output("j", Verdict::Unreadable, None),
+        ];
+        for (n, worst) in [
+            (1, "a"),
+            (2, "b"),
+            (4, "b"),
+            (5, "e"),
+            (6, "f"),
+            (7, "g"),
+            (8, "h"),
+            (9, "i"),
+            (10, "j"),
+        ] {
+            let case = case(Outcome::Pass, outputs[..n].to_vec());
+            assert_eq!(case.worst().map(|o| o.name.as_str()), Some(worst), "of {n}");
+        }
+        assert!(case(Outcome::Pass, Vec::new()).worst().is_none(), "of none");
+    }
+
+    #[test]
+    fn which_outcomes_fail() {
+        let why = || "it ended".to_owned();
+        for (outcome, strict, lenient) in [
+            (Outcome::Pass, false, false),
+            (Outcome::Unsupported, false, false),
+            (Outcome::Missing, true, false),
+            (Outcome::Fail, true, true),
+            (Outcome::Crash(why()), true, true),
+            (Outcome::Timeout(why()), true, true),
+        ] {
+            let case = case(outcome, Vec::new());
+            assert_eq!(
+                (case.fails(false), case.fails(true)),
+                (strict, lenient),
+                "{:?}",
+                case.outcome
+            );
+        }
+    }
+}

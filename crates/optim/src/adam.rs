@@ -301,6 +301,50 @@ mod tests {
         assert!((p[0] - 0.9 + step).abs() < 1e-15, "third: {}", p[0]);
     }
 
+    /// β = (½, ¾), ε = 3: after g = 2, m̂ = 2 and √v̂ = 2; a row that comes then has, after g = 4, m = 2 and v = 4, and t = 2
+    /// as the others: m̂ = 2/(3/4), v̂ = 4/(7/16).
+    #[test]
+    fn rows_that_come_and_go_and_columns_by_hand() {
+        let config = AdamConfig {
+            beta1: 0.5,
+            beta2: 0.75,
+            eps: 3.0,
+        };
+        let mut state = Adam::new(config, 2, 2).expect("valid");
+        let mut p = vec![1.0f64, 2.0, 3.0, 4.0];
+        state
+            .step_by_column(&mut p, &[2.0, -2.0, 4.0, 0.0], &[0.5, 0.25])
+            .expect("a step");
+        // rate m̂/(√v̂ + 3): 2/5 and 4/7
+        let expected = [
+            1.0 - 0.5 * 0.4,
+            2.0 + 0.25 * 0.4,
+            3.0 - 0.5 * 4.0 / 7.0,
+            4.0,
+        ];
+        let close = |p: &[f64], expected: &[f64]| {
+            p.len() == expected.len() && p.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-15)
+        };
+        assert!(close(&p, &expected), "{p:?} {expected:?}");
+        state.retain(&[false, true]).expect("two rows");
+        state.extend(1);
+        assert_eq!(state.rows(), 2, "one went, one came");
+        let mut p = vec![0.0; 4];
+        state
+            .step_by_column(&mut p, &[-4.0, 0.0, 4.0, -8.0], &[0.5, 0.25])
+            .expect("a step");
+        // The old row: m = 2, v = 4, then m = 1 - 2, v = 3 + 4. The new one: m = g/2, v = g²/4.
+        let step =
+            |rate: f64, m: f64, v: f64| -rate * (m / 0.75) / ((v / (7.0 / 16.0)).sqrt() + 3.0);
+        let expected = [
+            step(0.5, -1.0, 7.0),
+            0.0,
+            step(0.5, 2.0, 4.0),
+            step(0.25, -4.0, 16.0),
+        ];
+        assert!(close(&p, &expected), "{p:?} {expected:?}");
+    }
+
     #[test]
     fn no_gradient_no_step() {
         let mut p = [1.0f32, -2.0];

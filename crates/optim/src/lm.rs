@@ -226,3 +226,6 @@ pub fn minimise_observed<M: Model>(
     };
     (state, report)
 }
+
+#[cfg(test)]
+mod tests;

@@ -382,3 +382,6 @@ fn validate(
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests;

@@ -534,4 +534,25 @@ mod tests {
         let error = (decrease - damped.model_decrease).abs();
         assert!(error < 1e-10, "{decrease} {}", damped.model_decrease);
     }
+
+    /// V = diag(1, 4, 9), g = (2, -6, 0.9) and λ = ¼: h = -g / (1.25 V), and ½ h (¼ V h - g).
+    #[test]
+    fn damping_shortens_each_component() {
+        let structure = Structure::new(0, 1, &mut [(0, None, 0)], LinearSolver::Portable);
+        let mut system = SchurSystem::zeros(&structure);
+        let seen = InCamera {
+            point: Vector3::new(0.3, 0.2, 2.0),
+            hessian: Matrix3::from_diagonal(&Vector3::new(1.0, 4.0, 9.0)),
+            gradient: Vector3::new(2.0, -6.0, 0.9),
+        };
+        system.push(0, &Matrix3::identity(), &seen);
+        system.finish();
+        let damped = system.solve(0.25).expect("positive definite");
+        let error = damped.step.points[0] - Vector3::new(-1.6, 1.2, -0.08);
+        assert!(error.amax() < 1e-15, "{:?}", damped.step);
+        // ½ (-1.6 (-0.4 - 2) + 1.2 (1.2 + 6) - 0.08 (-0.18 - 0.9))
+        let error = damped.model_decrease - 0.5 * (3.84 + 8.64 + 0.0864);
+        assert!(error.abs() < 1e-14, "{}", damped.model_decrease);
+        assert!((system.gradient_norm() - 6.0).abs() < 1e-15, "largest");
+    }
 }

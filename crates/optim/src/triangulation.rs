@@ -290,4 +290,89 @@ mod tests {
             Err(OptimError::NotFinite { index: 0, .. })
         ));
     }
+
+    /// A point 5 cm before the second camera is seen, one nearer is not; χ² is the largest of the views', each by
+    /// its own σ: 3 px of σ = 1.5 px and 2 px of σ = 0.5 px.
+    #[test]
+    fn gates_and_chi2_by_hand() {
+        let camera = camera();
+        let seen = |z: f64, off_px: f64, sigma_px: f64| PointView {
+            camera_from_world: Se3::new(So3::identity(), Vector3::new(0.0, 0.0, z)),
+            uv_px: Vector2::new(320.0, 240.0 + off_px),
+            sigma_px,
+        };
+        let p = Vector3::new(0.0, 0.0, 1.0);
+        let beside = PointView {
+            camera_from_world: Se3::new(So3::identity(), Vector3::new(-0.5, 0.0, 0.0)),
+            uv_px: Vector2::new(70.0, 240.0),
+            sigma_px: 1.0,
+        };
+        for (z, found) in [(-0.95, true), (-0.9501, false)] {
+            let views = [seen(z, 0.0, 1.0), beside];
+            let at = TriangulatedPoint::at(p, &camera, &views);
+            assert_eq!(at.is_some(), found, "{} m before the second", 1.0 + z);
+        }
+        let views = [seen(0.0, 3.0, 1.5), seen(0.5, -2.0, 0.5), beside];
+        let at = TriangulatedPoint::at(p, &camera, &views).expect("seen");
+        assert!((at.largest_chi2 - 16.0).abs() < 1e-12, "{at:?}");
+        let wrong = triangulate(
+            &camera,
+            &[
+                beside,
+                PointView {
+                    sigma_px: 0.0,
+                    ..beside
+                },
+            ],
+        );
+        assert!(
+            matches!(wrong, Err(OptimError::NotPositive { index: 1, .. })),
+            "{wrong:?}"
+        );
+    }
+
+    /// One point straight ahead at z = 4, seen twice with σ = 2 px and once from the side with σ = 1 px: H has fx²/z²
+    /// and fy²/z² over the variances, and (fx x/z²)² along z.
+    #[test]
+    fn covariance_by_hand() {
+        let camera = camera();
+        let p = Vector3::new(0.0, 0.0, 4.0);
+        let ahead = PointView {
+            sigma_px: 2.0,
+            ..view(&camera, Se3::identity(), &p)
+        };
+        let aside = |x: f64| PointView {
+            sigma_px: 1.0,
+            ..view(
+                &camera,
+                Se3::new(So3::identity(), Vector3::new(x, 0.0, 0.0)),
+                &p,
+            )
+        };
+        // Two cameras at ± 1.6 m: the terms of x with z cancel.
+        let views = [ahead, ahead, aside(1.6), aside(-1.6)];
+        let at = TriangulatedPoint::at(p, &camera, &views).expect("seen");
+        let h = [
+            (2.0 / 4.0 + 2.0) * 125.0 * 125.0,
+            (2.0 / 4.0 + 2.0) * 130.0 * 130.0,
+            2.0 * 50.0 * 50.0,
+        ];
+        let expected = Matrix3::from_diagonal(&Vector3::from(h.map(|h| 1.0 / h)));
+        assert!(
+            (at.covariance - expected).amax() < 1e-15,
+            "{}",
+            at.covariance
+        );
+        // Turned by 0.3 about x, then by 0.5 about y: its axis is (-sin b, cos b sin a, cos b cos a).
+        let rotation = So3::exp(&(Vector3::y() * 0.5)) * So3::exp(&(Vector3::x() * 0.3));
+        let turned = Se3::new(rotation, Vector3::new(0.0, 0.0, 1.0));
+        let (rho, sigma) = at.inverse_depth(&turned);
+        let ((sa, ca), (sb, cb)) = (libm::sincos(0.3), libm::sincos(0.5));
+        let z = 4.0 * cb * ca + 1.0;
+        assert!((rho - 1.0 / z).abs() < 1e-12, "{rho}");
+        let axis = [-sb, cb * sa, cb * ca];
+        let variance = (0..3).fold(0.0, |sum, i| sum + axis[i] * axis[i] / h[i]);
+        let expected = variance.sqrt() / (z * z);
+        assert!((sigma - expected).abs() < 1e-12, "{sigma} {expected}");
+    }
 }

@@ -275,6 +275,41 @@ fn the_checker_finds_a_wrong_jacobian() {
     assert!((check.worst - 2.0).abs() < 1e-9, "{check:?}");
 }
 
+/// A residual that is shown, or allowed, on one side only cannot be compared.
+#[test]
+fn the_checker_declines_where_blocks_change() {
+    struct Edge {
+        forbids: bool,
+    }
+    impl Problem<1> for Edge {
+        type State = f64;
+        fn blocks(&self, x: &f64, visitor: &mut impl Visitor<1>) {
+            if *x < 0.5 {
+                visitor.block(RobustKernel::None, &SVector::from([3.0 * x]), || {
+                    SMatrix::<f64, 1, 1>::new(3.0)
+                });
+            } else if self.forbids {
+                visitor.forbid();
+            }
+        }
+        fn step(&self, x: &f64, step: &SVector<f64, 1>) -> f64 {
+            x + step[0]
+        }
+    }
+    for forbids in [true, false] {
+        let at = |x: f64| check_jacobian(&Edge { forbids }, &x, 0.01).map(|c| c.elements);
+        assert_eq!(at(0.47), Some(1), "two steps below the edge");
+        assert_eq!(at(0.485), None, "the second step is across");
+        assert_eq!(at(0.51), None, "blocks appear behind");
+    }
+    let nothing = check_jacobian(&Edge { forbids: false }, &0.6, 0.01);
+    assert_eq!(
+        nothing.map(|c| (c.elements, c.worst > 0.0)),
+        Some((0, false)),
+        "no block"
+    );
+}
+
 #[test]
 fn order_of_the_observations_does_not_matter() {
     let mut seen = observations(&truth(), 80, 3);

@@ -3,10 +3,11 @@
 mod common;
 
 use garad_core::{RollingShutter, Se3};
+use garad_optim::dense::{Problem, Recorder};
 use garad_optim::shutter::TurnProblem;
 use garad_optim::{
-    CentrePrior, PoseAndTurn, PoseConfig, PoseObservation, TurnConfig, check_jacobian,
-    optimise_pose, optimise_pose_and_turn,
+    CentrePrior, PoseAndTurn, PoseConfig, PoseObservation, RobustKernel, TurnConfig,
+    check_jacobian, optimise_pose, optimise_pose_and_turn,
 };
 use nalgebra::{Vector3, Vector6};
 use proptest::prelude::*;
@@ -125,4 +126,63 @@ fn the_prior_of_the_centre_weighs_by_its_information() {
     assert_eq!(both.information, both.information.transpose(), "symmetric");
     let change = (both.information - alone.information).norm() / alone.information.norm();
     assert!(change < 1e-3, "the links' own information: {change}");
+}
+
+/// Observations without depth have the first kernel, those with depth the second, the expected turn none: its residual is
+/// (ω - ω₀)/σ.
+#[test]
+fn blocks_have_their_kernels_and_the_turn_its_prior() {
+    let seen: Vec<_> = observations(&truth(), 8, 2)
+        .into_iter()
+        .map(|o| (o, RollingShutter::row_time(o.uv_px.y, camera().height)))
+        .collect();
+    let config = TurnConfig {
+        expected_rad: Vector3::new(0.01, -0.02, 0.03),
+        ..turn_config(0.004)
+    };
+    let state = PoseAndTurn {
+        camera_from_world: truth(),
+        shutter: RollingShutter {
+            turn_rad: Vector3::new(0.014, -0.01, 0.028),
+        },
+    };
+    let mut recorder = Recorder::<9>::default();
+    TurnProblem::new(&camera(), &seen, &config).blocks(&state, &mut recorder);
+    assert_eq!(recorder.blocks.len(), 9, "eight and the prior");
+    for (block, (o, _)) in recorder.blocks.iter().zip(&seen) {
+        let delta = if o.depth.is_some() { 2.8 } else { 2.4 };
+        assert_eq!(block.kernel, RobustKernel::Huber { delta }, "{o:?}");
+    }
+    let prior = &recorder.blocks[8];
+    assert_eq!(prior.kernel, RobustKernel::None, "the prior");
+    for (r, expected) in prior.residual.iter().zip([1.0, 2.5, -0.5]) {
+        assert!((r - expected).abs() < 1e-12, "{:?}", prior.residual);
+    }
+}
+
+/// No trial leaves the state; the baseline is that of the configuration.
+#[test]
+fn trials_and_baseline_are_those_asked_for() {
+    let seen: Vec<_> = observations(&truth(), 40, 4)
+        .into_iter()
+        .map(|o| (o, 0.1))
+        .collect();
+    let initial = PoseAndTurn {
+        camera_from_world: Se3::exp(&Vector6::repeat(0.01)) * truth(),
+        shutter: RollingShutter::global(),
+    };
+    let error = |config: &TurnConfig| {
+        let found = optimise_pose_and_turn(&camera(), &seen, &initial, config);
+        (found.camera_from_world * truth().inverse()).log().norm()
+    };
+    let start = (initial.camera_from_world * truth().inverse()).log().norm();
+    let with = |iterations: usize, bf: f64| TurnConfig {
+        iterations,
+        bf,
+        ..turn_config(1e-6)
+    };
+    assert!((error(&with(0, BF)) - start).abs() < 1e-15, "no trial");
+    let (one, all) = (error(&with(1, BF)), error(&with(20, BF)));
+    assert!(all < 1e-5 && all < one && one < start, "{one} {all}");
+    assert!(error(&with(20, 0.9 * BF)) > 1e-3, "another baseline");
 }

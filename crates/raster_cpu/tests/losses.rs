@@ -292,6 +292,43 @@ fn depth_gradients_are_derivatives_and_thin_places_are_left_out() {
     }
 }
 
+/// Expected depths 2, 4, 1 and 5 m for measured 3, 1, 2 and 1 m, by opacities of 0.5, 0.49, 0.8 and 0.6; any value of the mask but
+/// 0 leaves a pixel out.
+#[test]
+fn the_least_opacity_on_both_sides() {
+    let opacity = [0.5, 0.49, 0.8, 0.6];
+    let depth: Vec<f64> = [2.0, 4.0, 1.0, 5.0]
+        .iter()
+        .zip(opacity)
+        .map(|(z, o)| z * o)
+        .collect();
+    let depth = Image::from_vec(4, 1, depth).expect("4 pixels");
+    let opacity = Image::from_vec(4, 1, opacity.to_vec()).expect("4 pixels");
+    let measured = Image::from_vec(4, 1, vec![3.0f32, 1.0, 2.0, 1.0]).expect("4 pixels");
+    let masked = Image::from_vec(4, 1, vec![0u8, 0, 0, 1]).expect("4 pixels");
+    for (least, mask, pixels, value) in [
+        (0.48, None, 4, (1.0 + 3.0 + 1.0 + 4.0) / 4.0),
+        (0.5, None, 3, (1.0 + 1.0 + 4.0) / 3.0),
+        (0.51, None, 2, (1.0 + 4.0) / 2.0),
+        (0.81, None, 0, 0.0),
+        (0.5, Some(&masked), 2, 1.0),
+    ] {
+        let loss = depth_l1(&depth, &opacity, &measured, least, mask).expect("fits");
+        assert_eq!(loss.pixels, pixels, "from {least}");
+        assert!(
+            (loss.value - value).abs() < 1e-14,
+            "from {least}: {}",
+            loss.value
+        );
+        let slopes = loss.depth.data().iter().filter(|d| d.abs() > 0.0).count();
+        assert_eq!(slopes, pixels, "from {least}");
+    }
+    for (least, valid) in [(1.0, true), (1.000_1, false), (0.0, false)] {
+        let loss = depth_l1(&depth, &opacity, &measured, least, None);
+        assert_eq!(loss.is_ok(), valid, "{least}");
+    }
+}
+
 /// What a depth camera writes where it measures nothing, and the mask, are left out.
 #[test]
 fn missing_depths_are_left_out() {

@@ -289,5 +289,30 @@ mod tests {
             let error = config.validate().expect_err(word).to_string();
             assert!(error.contains(word), "{error}");
         }
+        for (width, height, valid) in [
+            (8, 8192, true),
+            (8192, 8, true),
+            (7, 8, false),
+            (8, 7, false),
+            (8193, 8, false),
+            (8, 8193, false),
+        ] {
+            let config = SceneConfig {
+                width,
+                height,
+                frames: 1,
+                supersample: 1,
+                fps: 0.5,
+                ..SceneConfig::default()
+            };
+            assert_eq!(config.validate().is_ok(), valid, "{width}x{height}");
+        }
+        for fps in [-30.0, f64::INFINITY] {
+            let config = SceneConfig {
+                fps,
+                ..SceneConfig::default()
+            };
+            assert_eq!(config.validate(), Err(SynthError::Fps { fps }), "{fps}");
+        }
     }
 }

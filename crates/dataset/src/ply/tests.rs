@@ -608,3 +608,54 @@ fn damaged_files_do_not_panic() {
         "damage is noticed, {refused} of 4000 refused"
     );
 }
+
+/// A NaN or an infinity in each column of each vertex is reported with vertex and property; normals and
+/// what others add are not read.
+#[test]
+fn numbers_that_are_not_finite_are_named() {
+    let (header, body) = foreign(3, 2);
+    let stride = body.len() / 3;
+    let names = header.lines().filter_map(|line| {
+        let rest = line.trim_end().strip_prefix("property float")?;
+        rest.rsplit(' ').next().map(str::to_owned)
+    });
+    let names: Vec<String> = names.collect();
+    assert_eq!(names.len(), 14 + 24, "rot, x to scale, f_rest");
+    for vertex in [0, 2] {
+        for (column, name) in names.iter().enumerate() {
+            for (value, word) in [(f32::NAN, "NaN"), (f32::NEG_INFINITY, "-inf")] {
+                let mut spoilt = body.clone();
+                let at = vertex * stride + 8 + 4 * column;
+                spoilt[at..at + 4].copy_from_slice(&value.to_le_bytes());
+                let message = parse(&[header.as_bytes(), &spoilt].concat());
+                let defined = word == "-inf" && (name == "opacity" || name.starts_with("scale_"));
+                if defined {
+                    message.expect("invisible or flat");
+                    continue;
+                }
+                let message = message.expect_err("not finite").to_string();
+                let expected = format!("vertex {vertex}: property {name} is {word};");
+                assert!(message.contains(&expected), "{expected}: {message}");
+            }
+        }
+    }
+    let mut bytes = to_bytes(&some_map(2, 3), true);
+    let end = bytes.len() - 2 * 249;
+    for normal in 3..6 {
+        let at = end + 249 + 4 * normal;
+        bytes[at..at + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+    }
+    assert_eq!(
+        parse(&bytes).expect("normals are not read").len(),
+        2,
+        "normals"
+    );
+    let text = recoded(&to_bytes(&some_map(1, 0), false), false, "ascii");
+    let start = text.iter().rposition(|&b| b == b' ').expect("a space");
+    let large = [&text[..start], b" 1e99\r\n"].concat();
+    let message = parse(&large).expect_err("beyond f32").to_string();
+    assert!(
+        message.contains("vertex 0: property rot_3 is inf"),
+        "{message}"
+    );
+}

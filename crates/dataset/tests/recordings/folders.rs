@@ -251,6 +251,41 @@ fn options_select_the_frames() {
     }
 }
 
+/// Depth images are 5 ms after the colour images.
+#[test]
+fn the_window_of_pairs_is_that_of_the_options() {
+    let recording = Recording::new(3);
+    let open = |max_dt_s| {
+        let options = OpenOptions {
+            max_dt_s,
+            ..OpenOptions::default()
+        };
+        Dataset::open(recording.path(), &options)
+    };
+    assert_eq!(open(0.006).expect("pairs").len(), 3, "6 ms");
+    let none = open(0.004);
+    assert!(
+        matches!(
+            none,
+            Err(DatasetError::NoPairs {
+                colour: 3,
+                depth: 3,
+                ..
+            })
+        ),
+        "{none:?}"
+    );
+    recording.write(
+        "depth.txt",
+        "1.035 depth/1.005.png\n1.135 depth/1.105.png\n",
+    );
+    assert!(open(0.02).is_err(), "35 ms off");
+    let dataset = open(0.04).expect("pairs");
+    assert_eq!(dataset.len(), 2, "40 ms");
+    let words = "1 of 3 colour images have no depth image of their own within 40 ms";
+    assert_eq!(dataset.warnings(), [words], "the window in words");
+}
+
 #[test]
 fn calibration_comes_from_the_first_source() {
     let mut options = OpenOptions::default();

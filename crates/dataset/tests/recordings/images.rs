@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use garad_dataset::DatasetError;
+use garad_dataset::{DatasetError, MASK_FOLDER};
 use image::{DynamicImage, ImageBuffer, Luma, LumaA, Rgb, Rgba};
 
 use crate::fixture::{Recording, SIZE, colour, raw_depth};
@@ -322,4 +322,13 @@ fn masks_are_named_by_the_timestamp() {
         255,
         "found"
     );
+    save("1.000", 128);
+    for mask in [
+        dataset.read_mask(&dir, 0),
+        dataset
+            .read_own_mask(MASK_FOLDER, 0)
+            .map(|mask| mask.expect("there")),
+    ] {
+        assert_eq!(mask.expect("both names")[(2, 0)], 128, "the stamp is first");
+    }
 }

@@ -282,4 +282,87 @@ mod tests {
         let few = fundamental_ransac(&uv1[..5], &uv2[..5], &good, Par::Seq);
         assert_eq!(few, Err(FeatureError::TooFewPoints { got: 5, needed: 8 }));
     }
+
+    /// Two pairs beside their lines: by a threshold below both, between them, and above both.
+    #[test]
+    fn the_threshold_decides_who_is_in() {
+        let [uv1, mut uv2] = pairs(80, 0, 0.0, 5);
+        let truth = fundamental_ransac(&uv1, &uv2, &RansacConfig::default(), Par::Seq);
+        let f = truth.expect("solvable").fundamental;
+        for (i, off_px) in [(3, 2.0), (50, 3.5)] {
+            uv2[i].y += off_px;
+        }
+        let off = [3, 50].map(|i| sampson_px2(&f, &uv1[i], &uv2[i]).sqrt());
+        assert!(off[0] < 0.9 * off[1] && off[0] > 0.1, "{off:?}");
+        for (threshold_px, expected) in [
+            (0.9 * off[0], [false, false]),
+            (0.5 * (off[0] + off[1]), [true, false]),
+            (1.3 * off[1], [true, true]),
+        ] {
+            let config = RansacConfig {
+                threshold_px,
+                ..RansacConfig::default()
+            };
+            let found = fundamental_ransac(&uv1, &uv2, &config, Par::Seq).expect("solvable");
+            assert_eq!(
+                [3, 50].map(|i| found.inliers[i]),
+                expected,
+                "{threshold_px} px"
+            );
+            let right = (0..80)
+                .filter(|i| ![3, 50].contains(i) && found.inliers[*i])
+                .count();
+            assert_eq!(right, 78, "all exact ones, {threshold_px} px");
+        }
+    }
+
+    /// 40 of 100 wrong: 0.6⁸ = 0.0168 of the samples are clean. ln(1 - c) / ln(1 - 0.0168) is 136, 272 and 544, in
+    /// batches of 64.
+    #[test]
+    fn draws_end_by_confidence_and_by_their_limit() {
+        let [uv1, mut uv2] = pairs(100, 0, 0.0, 6);
+        for (i, uv) in uv2[..40].iter_mut().enumerate() {
+            uv.y += 4000.0 + 370.0 * (i * i % 17) as f64; // nowhere near
+        }
+        for (confidence, max_samples, expected) in [
+            (0.9, 2000, 192),
+            (0.99, 2000, 320),
+            (0.9999, 2000, 576),
+            (0.9999, 500, 500),
+            (0.9999, 330, 330),
+        ] {
+            let config = RansacConfig {
+                confidence,
+                max_samples,
+                ..RansacConfig::default()
+            };
+            let found = fundamental_ransac(&uv1, &uv2, &config, Par::Seq).expect("solvable");
+            assert_eq!(found.samples, expected, "{confidence}, {max_samples}");
+            let inliers = found.inliers.iter().filter(|&&i| i).count();
+            assert_eq!(inliers, 60, "{confidence}: the right ones");
+        }
+    }
+
+    /// A single draw of eight among 24 pairs of which four are wrong is clean in one case of six, by its seed.
+    #[test]
+    fn the_seed_decides_the_draws() {
+        let [uv1, mut uv2] = pairs(24, 0, 0.0, 6);
+        for (i, uv) in uv2[..4].iter_mut().enumerate() {
+            uv.y += 900.0 + 370.0 * i as f64;
+        }
+        let mut clean_seeds = 0;
+        for seed in 0..60 {
+            let config = RansacConfig {
+                seed,
+                max_samples: 1,
+                ..RansacConfig::default()
+            };
+            let clean = draw(seed, 0, 24).iter().all(|&k| k >= 4);
+            let found = fundamental_ransac(&uv1, &uv2, &config, Par::Seq).expect("solvable");
+            let inliers = found.inliers.iter().filter(|&&i| i).count();
+            assert_eq!(inliers == 20, clean, "seed {seed}: {inliers}");
+            clean_seeds += usize::from(clean);
+        }
+        assert!((2..30).contains(&clean_seeds), "{clean_seeds} of 60");
+    }
 }

@@ -371,3 +371,76 @@ proptest! {
         }
     }
 }
+
+/// Covariance 2/3 I: (1, 0) is at 1.5, (2, 0) at 6, which 1.6 and 5.9 tell apart, and 6.1 does not.
+#[test]
+fn the_gate_is_that_of_the_configuration() {
+    let static_points = points(&[[-1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]);
+    for (chi2, expected) in [
+        (1.4, [false, false]),
+        (1.6, [true, false]),
+        (5.9, [true, false]),
+        (6.1, [true, true]),
+    ] {
+        let config = FlowConfig { chi2, ..literal() };
+        let found = verify_flow(&static_points, &points(&[[1.0, 0.0], [0.0, 2.0]]), &config);
+        let verdicts = found.expect("finite").verdicts;
+        let inside: Vec<bool> = verdicts
+            .iter()
+            .map(|v| v.expect("a model").inside)
+            .collect();
+        assert_eq!(inside, expected, "χ² {chi2}");
+    }
+}
+
+/// Medians 0; deviations 0 0 1 1 1 1 1 3 3 along x and 0 0 0 2 2 2 2 2 2 along y: σ = 1.48 and 2.97, and 3 px along x
+/// with 2 along y is at (3/1.48)² + (2/2.97)² = 4.55, 4 px at 7.74.
+#[test]
+fn trimming_by_hand() {
+    let near = [
+        [0.0, 0.0],
+        [1.0, 0.0],
+        [-1.0, 0.0],
+        [0.0, 2.0],
+        [0.0, -2.0],
+        [1.0, 2.0],
+        [-1.0, -2.0],
+        [1.0, -2.0],
+        [-1.0, 2.0],
+    ];
+    let with = |x: f64| {
+        [
+            near.map(Vector2::from).to_vec(),
+            vec![Vector2::new(x, 2.0), Vector2::new(-x, -2.0)],
+        ]
+        .concat()
+    };
+    let config = FlowConfig {
+        estimator: FlowEstimator::Trimmed,
+        min_support: 10,
+        ..literal()
+    };
+    // 0.95 / (1 - 0.05 (1 + c/2)) with c/2 = ln 20
+    let enlarged = 0.95 / (1.0 - 0.05 * (1.0 + libm::log(20.0)));
+    let all = model(&with(3.0), &config);
+    assert_eq!(all.support, 11, "none is cut");
+    let expected = Matrix2::new(6.0 + 18.0, 12.0, 12.0, 24.0 + 8.0) / 10.0 * enlarged;
+    assert!(
+        (all.covariance - expected).amax() < 1e-12,
+        "{} {expected}",
+        all.covariance
+    );
+    let few = FlowFit::TooFew { got: 9, needed: 10 };
+    assert_eq!(fit_flow(&with(4.0), &config), Ok(few), "two are cut");
+    // The floor widens the cut, too: 16/(2.2 + 2) + 4/(8.8 + 2) = 4.18.
+    let floored = FlowConfig {
+        covariance_floor_px2: 2.0,
+        ..config
+    };
+    assert_eq!(model(&with(4.0), &floored).support, 11, "with the floor");
+    let nine = FlowConfig {
+        min_support: 9,
+        ..config
+    };
+    assert_eq!(model(&with(4.0), &nine).support, 9, "nine are enough");
+}

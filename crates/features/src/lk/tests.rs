@@ -332,3 +332,66 @@ fn correlation_is_that_of_the_formula() {
     let flat = LkPyramid::new(&GrayImage::new(64, 48, 90), 1).expect("an image");
     assert!(with(&flat, at).is_none(), "flat");
 }
+
+/// Each setting away from its default, by what it must equal or change.
+#[test]
+fn settings_do_what_they_say() {
+    let (a, b) = (waves(160, 120, [0.0, 0.0]), waves(160, 120, [7.3, -4.6]));
+    let points = grid(160, 120);
+    let run = |levels: usize, config: &LkConfig| {
+        let [prev, next] = [&a, &b].map(|i| LkPyramid::new(i, levels).expect("an image"));
+        track(&prev, &next, &points, None, config, Par::Seq).expect("sizes agree")
+    };
+    let default = LkConfig::default();
+    let with = |change: fn(&mut LkConfig)| {
+        let mut config = default;
+        change(&mut config);
+        config
+    };
+    let all = run(3, &default);
+    for coarsest_level in [0, 1, 2] {
+        let config = LkConfig {
+            coarsest_level,
+            ..default
+        };
+        let found = run(3, &config);
+        assert_eq!(
+            found,
+            run(coarsest_level, &default),
+            "coarsest level {coarsest_level}"
+        );
+        assert!(
+            coarsest_level > 1 || found != all,
+            "other than from level 3"
+        );
+    }
+    let still = run(3, &with(|c| c.iterations = 0));
+    for (found, point) in still.iter().zip(&points) {
+        assert_eq!(
+            found.xy.map(f32::to_bits),
+            point.map(f32::to_bits),
+            "no step"
+        );
+    }
+    let one_step = run(3, &with(|c| c.iterations = 1));
+    assert!(one_step != all && one_step != still, "one step a level");
+    assert_eq!(
+        run(3, &with(|c| c.epsilon_px = 1e3)),
+        one_step,
+        "every step is short"
+    );
+    let worst = all.iter().map(|t| t.residual).fold(0.0, f32::max);
+    let least = all.iter().map(|t| t.residual).fold(f32::MAX, f32::min);
+    assert!(least > 0.0 && worst > least, "{least} {worst}");
+    for (max, expected) in [(worst, 0), (worst * 0.999, 1), (least, points.len() - 1)] {
+        let config = LkConfig {
+            max_residual: Some(max),
+            ..default
+        };
+        let lost = run(3, &config)
+            .iter()
+            .filter(|t| t.status == LkStatus::HighResidual)
+            .count();
+        assert_eq!(lost, expected, "above {max}");
+    }
+}

@@ -133,4 +133,30 @@ mod tests {
             );
         }
     }
+
+    /// A single brighter pixel passes a threshold that it exceeds. With cells of 60 pixels the area of 108 x 88 is one
+    /// cell; with 30 there are three columns of 36.
+    #[test]
+    fn thresholds_and_cells_are_those_of_the_configuration() {
+        let image = dots(&[(25, 25, 31), (70, 25, 13), (100, 25, 12), (110, 90, 30)]);
+        let mut scores = GrayImage::default();
+        let mut found = |threshold, min_threshold, cell_px| {
+            let config = OrbConfig {
+                threshold,
+                min_threshold,
+                cell_px,
+                ..OrbConfig::default()
+            };
+            let found = cell_corners(&image, &config, &mut scores);
+            let mut columns: Vec<_> = found.iter().map(|c| c.x + MARGIN).collect();
+            columns.sort_unstable();
+            columns
+        };
+        assert_eq!(found(30, 12, 30), [25, 70, 110], "12 is not above 12");
+        assert_eq!(found(30, 11, 30), [25, 70, 100, 110], "but above 11");
+        assert_eq!(found(30, 13, 30), [25, 110], "13 is not above 13");
+        assert_eq!(found(30, 12, 60), [25], "one cell has one above 30");
+        assert_eq!(found(29, 12, 60), [25, 110], "and two above 29");
+        assert_eq!(found(31, 12, 60), [25, 70, 110], "none above 31");
+    }
 }

@@ -429,4 +429,37 @@ mod tests {
             assert_eq!(flat, Ok(Features::default()), "{size:?}");
         }
     }
+
+    /// 1/1.5 = ⅔ from level to level: 70 over three levels is 33.2, 22.1 and the rest; a keypoint of level l is l times
+    /// as coarse.
+    #[test]
+    fn scale_and_levels_are_those_of_the_configuration() {
+        let config = OrbConfig {
+            features: 70,
+            scale: 1.5,
+            levels: 3,
+            ..OrbConfig::default()
+        };
+        assert_eq!(features_per_level(&config), [33, 22, 15], "shares");
+        let mut orb = OrbExtractor::new(config).expect("valid");
+        assert_eq!(
+            [0, 1, 2].map(|l| orb.level_scale(l).to_bits()),
+            [1.0f32, 1.5, 2.25].map(f32::to_bits),
+            "scales"
+        );
+        let found = orb
+            .extract(&boxes(240, 180, 4), Par::Seq)
+            .expect("an image");
+        let mut levels = [0; 3];
+        for k in &found.keypoints {
+            levels[usize::from(k.level)] += 1;
+            let x = k.x / [1.0, 1.5, 2.25][usize::from(k.level)];
+            assert!((x - x.round()).abs() < 1e-4, "a pixel of its level: {k:?}");
+        }
+        let about = |got: usize, wanted: usize| (wanted..wanted + 8).contains(&got);
+        assert!(
+            about(levels[0], 33) && about(levels[1], 22) && about(levels[2], 15),
+            "{levels:?}"
+        );
+    }
 }

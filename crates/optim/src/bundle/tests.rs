@@ -129,7 +129,10 @@ fn a_long_path_is_one_bundle(solver: LinearSolver) {
     }
 }
 
-with_each_solver! { a_long_path_is_one_bundle }
+with_each_solver! {
+    a_long_path_is_one_bundle
+    free_and_fixed_poses_by_turns
+}
 
 /// A free pose without a single observation has no equation; the others are still solved.
 #[test]
@@ -329,5 +332,122 @@ fn bad_input_is_named_and_nothing_moves() {
     for (change, expected) in cases {
         let error = error_of(change);
         assert!(error.contains(expected), "{error}");
+    }
+}
+
+/// Residuals of (0.5, 1.5), (1, 2) and (1, 3) σ in v, with σ = 2 px: ½ s below the knee, δ √s - ½ δ² beyond it.
+#[test]
+fn cost_and_gates_are_those_of_the_configuration() {
+    let camera = Camera::pinhole((640, 480), [500.0, 400.0, 320.0, 240.0]).unwrap();
+    let depth = DepthObservation::Disparity {
+        disparity_px: 25.0 / 2.0,
+        sigma_px: 0.4,
+    };
+    let seen = |pose: usize, off_sigma: f64, depth| BundleObservation {
+        pose,
+        point: 0,
+        uv_px: Vector2::new(320.0, 240.0 - 2.0 * off_sigma),
+        sigma_px: 2.0,
+        depth,
+    };
+    let observations = [
+        seen(0, 1.5, None),
+        seen(0, -2.0, None),
+        seen(1, 2.0, None),
+        seen(1, -2.0, Some(depth)),
+        seen(0, 3.0, Some(depth)),
+        seen(1, 3.1, Some(depth)),
+    ];
+    let plain = 0.5 * (2.25 + 4.0 + 4.0 + 4.0 + 9.0 + 9.61);
+    // δ = 1.6 without depth and 3 with it
+    let robust = 0.5 * (2.25 + 4.0 + 9.0) + 2.0 * (1.6 * 2.0 - 1.28) + (3.0 * 3.1 - 4.5);
+    for (robust, expected) in [(true, robust), (false, plain)] {
+        let config = BundleConfig {
+            iterations: 0,
+            chi2_2d: 1.6 * 1.6,
+            chi2_3d: 9.0,
+            robust,
+            ..BundleConfig::default()
+        };
+        let report = optimise_bundle(
+            &camera,
+            25.0,
+            &mut [Se3::identity(); 2],
+            &[false, true],
+            &mut [Vector3::new(0.0, 0.0, 2.0)],
+            &observations,
+            &config,
+        )
+        .unwrap();
+        let error = (report.report.cost0 - expected).abs();
+        assert!(error < 1e-12, "robust {robust}: {report:?} for {expected}");
+        let expected = [true, false, false, true, true, false];
+        assert_eq!(report.inlier, expected, "robust {robust}");
+        assert_eq!(report.report.stop, StopReason::IterationLimit, "{robust}");
+    }
+}
+
+/// Fixed poses between free ones: each step reaches the pose that it was computed for.
+fn free_and_fixed_poses_by_turns(solver: LinearSolver) {
+    let mut scene = scene(6, 40);
+    scene.fixed = [true, false, false, true, false, true].to_vec();
+    for k in [3, 5] {
+        scene.start.poses[k] = scene.truth.poses[k];
+    }
+    let config = BundleConfig {
+        iterations: 30,
+        cost_tolerance: 1e-14,
+        linear_solver: solver,
+        ..BundleConfig::default()
+    };
+    let report = optimise_bundle(
+        &scene.camera,
+        BF,
+        &mut scene.start.poses,
+        &scene.fixed,
+        &mut scene.start.points,
+        &scene.observations,
+        &config,
+    );
+    assert!(report.unwrap().report.cost < 1e-12, "all met");
+    for (k, (found, truth)) in scene.start.poses.iter().zip(&scene.truth.poses).enumerate() {
+        if scene.fixed[k] {
+            assert_eq!(found, truth, "pose {k} is fixed");
+        }
+        assert!(
+            (*found * truth.inverse()).log().norm() < 1e-6,
+            "pose {k}: {found:?}"
+        );
+    }
+}
+
+#[test]
+fn trials_and_tolerance_are_those_asked_for() {
+    for (iterations, cost_tolerance, trials, stop) in [
+        (1, 1e-9, 1, StopReason::IterationLimit),
+        (3, 1e-9, 3, StopReason::IterationLimit),
+        (5, 2.1, 0, StopReason::Converged),
+    ] {
+        let mut scene = scene(4, 20);
+        let config = BundleConfig {
+            iterations,
+            cost_tolerance,
+            ..BundleConfig::default()
+        };
+        let report = optimise_bundle(
+            &scene.camera,
+            BF,
+            &mut scene.start.poses,
+            &scene.fixed,
+            &mut scene.start.points,
+            &scene.observations,
+            &config,
+        );
+        let report = report.unwrap().report;
+        assert_eq!(
+            (report.iterations + report.rejected, report.stop),
+            (trials, stop),
+            "{iterations}, {cost_tolerance}: {report:?}"
+        );
     }
 }

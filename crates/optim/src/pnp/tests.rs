@@ -136,3 +136,137 @@ fn samples_by_hand() {
         assert_eq!(three, [0, 1, 2], "all different");
     }
 }
+
+/// 40 exact matches of which half are wrong: 1 in 8 triples is clean. ln(1 - c)/ln(7/8) is 5.2, 34.5 and 51.7
+/// for the confidences; the rule is asked after each batch of 32.
+#[test]
+fn draws_end_by_confidence_and_by_their_limit() {
+    let (truth, mut observations) = matches(2, 40, 20, 0.0);
+    for (i, o) in observations[..20].iter_mut().enumerate() {
+        o.uv_px.y += 1e3 + 90.0 * i as f64; // nowhere near
+    }
+    for (confidence, max_samples, expected) in [
+        (0.5, 300, 32),
+        (0.99, 300, 35),
+        (0.999, 300, 52),
+        (0.999, 45, 45),
+        (0.999, 20, 20),
+    ] {
+        let config = PnpConfig {
+            confidence,
+            max_samples,
+            ..PnpConfig::default()
+        };
+        let result = solve_pnp_ransac(&camera(), &observations, &config, Par::Seq);
+        let result = result.unwrap().expect("a pose");
+        assert_eq!(result.samples, expected, "{confidence}, {max_samples}");
+        assert_eq!(result.n_inliers, 20, "the right ones");
+        let error = (result.camera_from_world * truth.inverse()).log().norm();
+        assert!(error < 1e-6, "{error}");
+    }
+    for (min_inliers, found) in [(20, true), (21, false)] {
+        let config = PnpConfig {
+            min_inliers,
+            ..PnpConfig::default()
+        };
+        let result = solve_pnp_ransac(&camera(), &observations, &config, Par::Seq);
+        assert_eq!(result.unwrap().is_some(), found, "{min_inliers} of 20");
+    }
+}
+
+/// One draw hits three right matches of 20 among 40 in an eighth of the cases: by seed, and as the
+/// first draw of that seed.
+#[test]
+fn the_seed_decides_the_draws() {
+    let (_, mut observations) = matches(2, 40, 20, 0.0);
+    for (i, o) in observations[..20].iter_mut().enumerate() {
+        o.uv_px.y += 1e3 + 90.0 * i as f64;
+    }
+    let found = |seed: u64, max_samples: usize| {
+        let config = PnpConfig {
+            seed,
+            max_samples,
+            ..PnpConfig::default()
+        };
+        let result = solve_pnp_ransac(&camera(), &observations, &config, Par::Seq);
+        result.unwrap().is_some()
+    };
+    let mut hits = 0;
+    for seed in 0..64 {
+        let clean = |i: u64| {
+            let triple = three_of(40, &mut Rng::keyed(seed, &[i]));
+            triple.iter().all(|&k| k >= 20)
+        };
+        assert_eq!(found(seed, 1), clean(0), "seed {seed}, one draw");
+        assert_eq!(
+            found(seed, 3),
+            (0..3).any(clean),
+            "seed {seed}, three draws"
+        );
+        hits += usize::from(clean(0));
+    }
+    assert!((2..20).contains(&hits), "an eighth of 64: {hits}");
+}
+
+/// A point 2 m ahead seen 0, 1, 1.5, 2 and 50 σ beside its place, and one behind; gate 1.5² = 2.25 on pixels,
+/// 2² = 4 with depth, whose readings are exact but for the fourth, 1.5 σ off.
+#[test]
+fn hypotheses_are_judged_by_pixels_and_refined_ones_with_depth() {
+    let camera = Camera::pinhole((640, 480), [500.0, 400.0, 320.0, 240.0]).unwrap();
+    let off_sigma = [0.0, 1.0, 1.5, 2.0, 50.0, 0.0];
+    let observations: Vec<PoseObservation> = (0..6)
+        .map(|i| PoseObservation {
+            p_world: Vector3::new(0.0, 0.0, if i == 5 { -2.0 } else { 2.0 }),
+            uv_px: Vector2::new(320.0, 240.0 + 2.0 * off_sigma[i]),
+            sigma_px: 2.0,
+            depth: (i % 2 == 1).then_some(DepthObservation::Disparity {
+                disparity_px: 12.5 + if i == 3 { 0.75 } else { 0.0 },
+                sigma_px: 0.5,
+            }),
+        })
+        .collect();
+    let config = PnpConfig {
+        pose: PoseConfig {
+            bf: 25.0,
+            chi2_2d: 2.25,
+            chi2_3d: 4.0,
+            ..PoseConfig::default()
+        },
+        ..PnpConfig::default()
+    };
+    let problem = Pnp {
+        intrinsics: Intrinsics::new(&camera, config.pose.bf),
+        bearings: Vec::new(),
+        observations: &observations,
+        config: &config,
+    };
+    let judged = problem.judge(Se3::identity());
+    assert!(
+        (judged.cost - (1.0 + 2.25 + 3.0 * 2.25)).abs() < 1e-12,
+        "{judged:?}"
+    );
+    assert_eq!(judged.n_inliers, 3, "0, 1 and 1.5 σ");
+    let inliers = |with_depth| problem.inliers(&Se3::identity(), with_depth);
+    assert_eq!(
+        inliers(false),
+        [true, true, true, false, false, false],
+        "pixels"
+    );
+    assert_eq!(
+        inliers(true),
+        [true, true, true, false, false, false],
+        "depth: 4 + 2.25 > 4"
+    );
+    let mut exact = observations.clone();
+    exact[3].depth = observations[1].depth;
+    let problem = Pnp {
+        observations: &exact,
+        ..problem
+    };
+    let inliers = problem.inliers(&Se3::identity(), true);
+    assert_eq!(
+        inliers,
+        [true, true, true, true, false, false],
+        "2 σ with its depth"
+    );
+}

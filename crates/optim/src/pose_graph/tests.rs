@@ -278,3 +278,130 @@ fn bad_input_is_named_and_nothing_moves() {
         assert!(error.contains(expected), "{error}");
     }
 }
+
+/// The assembled gradient is the derivative of the cost through the step, with kernels that act on some
+/// edges and not on others.
+#[test]
+fn gradient_is_the_derivative_of_the_cost() {
+    for kernel in [
+        RobustKernel::None,
+        RobustKernel::Huber { delta: 0.7 },
+        RobustKernel::GemanMcClure { c: 0.7 },
+    ] {
+        let mut graph = walk(12, 0.1);
+        graph.fixed[4] = true;
+        let config = PoseGraphConfig {
+            kernel,
+            ..PoseGraphConfig::default()
+        };
+        let mut rng = Rng::new(8);
+        for pose in &mut graph.poses {
+            *pose = random_motion(&mut rng, 0.1) * *pose;
+        }
+        let chi2 = graph.edges.iter().map(|e| e.chi2(&graph.poses));
+        let beyond = chi2.filter(|c| *c > 0.49).count();
+        assert!(
+            beyond > 1 && beyond < graph.edges.len(),
+            "{beyond} beyond the knee"
+        );
+        let model = GraphModel::new(&graph, &config);
+        let system = (&&model).linearise(&graph.poses);
+        let error = (system.cost - (&&model).cost(&graph.poses)).abs();
+        assert!(error < 1e-12 * system.cost, "both ways to the cost agree");
+        let scale = system.gradient_norm();
+        for k in 0..system.gradient.len() {
+            for i in 0..6 {
+                let cost = |h: f64| {
+                    let mut step = vec![Vector6::zeros(); system.gradient.len()];
+                    step[k][i] = h;
+                    (&&model).cost(&(&&model).step(&graph.poses, &step))
+                };
+                let slope = (cost(1e-6) - cost(-1e-6)) / 2e-6;
+                let error = (slope - system.gradient[k][i]).abs();
+                assert!(error < 1e-6 * scale, "{kernel:?}, step {k}, {i}: {error}");
+            }
+        }
+    }
+}
+
+/// One edge along x: r = 3, Ω = 4, so s = 36; the other directions are exact. With Huber's δ = 2 the weight is ⅓:
+/// H = 4/3, g = 4, and at λ = ½ the step is -4 / 2 and the model expects ½ · 2 (⅔ · 2 + 4).
+#[test]
+fn one_step_by_hand_with_a_kernel() {
+    let along = |x: f64| Se3::new(So3::identity(), Vector3::new(x, 0.0, 0.0));
+    let graph = PoseGraph {
+        poses: vec![Se3::identity(), along(5.0)],
+        fixed: vec![true, false],
+        edges: vec![PoseEdge {
+            a: 1,
+            b: 0,
+            a_from_b: along(2.0),
+            information: Matrix6::identity() * 4.0,
+        }],
+    };
+    let config = PoseGraphConfig {
+        kernel: RobustKernel::Huber { delta: 2.0 },
+        ..PoseGraphConfig::default()
+    };
+    let model = GraphModel::new(&graph, &config);
+    let system = (&&model).linearise(&graph.poses);
+    let damped = system.solve(0.5).expect("positive definite");
+    assert!((system.cost - 10.0).abs() < 1e-12, "½ (2 · 2 · 6 - 4)");
+    let error = (damped.step[0] - Vector6::new(-2.0, 0.0, 0.0, 0.0, 0.0, 0.0)).amax();
+    assert!(error < 1e-12, "{:?}", damped.step);
+    let error = (damped.model_decrease - 16.0 / 3.0).abs();
+    assert!(error < 1e-12, "{}", damped.model_decrease);
+}
+
+#[test]
+fn trials_tolerance_and_chi2_are_those_asked_for() {
+    for (iterations, cost_tolerance, trials, stop) in [
+        (0, 1e-9, 0, StopReason::IterationLimit),
+        (1, 1e-9, 1, StopReason::IterationLimit),
+        (2, 1e-12, 2, StopReason::IterationLimit),
+        (5, 2.1, 0, StopReason::Converged),
+    ] {
+        let mut graph = walk(25, 0.2);
+        let config = PoseGraphConfig {
+            iterations,
+            cost_tolerance,
+            kernel: RobustKernel::Huber { delta: 1.5 },
+            ..PoseGraphConfig::default()
+        };
+        let report = graph.optimise(&config).unwrap();
+        assert_eq!(
+            (
+                report.report.iterations + report.report.rejected,
+                report.report.stop
+            ),
+            (trials, stop),
+            "{iterations}, {cost_tolerance}: {report:?}"
+        );
+        // χ² is without the kernel, of the poses at the end.
+        let rho = report.chi2.iter().map(|s| config.kernel.rho(*s));
+        let cost = 0.5 * rho.fold(0.0, |a, b| a + b);
+        assert!(
+            (cost - report.report.cost).abs() < 1e-12 * cost,
+            "{report:?}"
+        );
+    }
+}
+
+#[test]
+fn scales_of_kernels_must_be_positive() {
+    for wrong in [0.0, -1.5, f64::INFINITY] {
+        for kernel in [
+            RobustKernel::Huber { delta: wrong },
+            RobustKernel::Cauchy { c: wrong },
+            RobustKernel::GemanMcClure { c: wrong },
+            RobustKernel::Tukey { c: wrong },
+        ] {
+            let config = PoseGraphConfig {
+                kernel,
+                ..PoseGraphConfig::default()
+            };
+            let error = walk(4, 0.1).optimise(&config).unwrap_err().to_string();
+            assert!(error.contains("scale of the kernel"), "{kernel:?}: {error}");
+        }
+    }
+}
