@@ -236,3 +236,104 @@ impl Default for RateConfig {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One iteration of any kind is enough.
+    #[test]
+    fn views_are_kept_if_there_is_training() {
+        for (per_keyframe, per_frame, final_iterations, keeps) in [
+            (0, 0, 0, false),
+            (1, 0, 0, true),
+            (0, 1, 0, true),
+            (0, 0, 1, true),
+        ] {
+            let config = TrainConfig {
+                per_keyframe,
+                per_frame,
+                final_iterations,
+                ..TrainConfig::default()
+            };
+            assert_eq!(
+                config.keeps_views(),
+                keeps,
+                "{per_keyframe}, {per_frame}, {final_iterations}"
+            );
+        }
+    }
+
+    /// The numbers of 3D Gaussian Splatting (its paper's section 5.2 and the defaults of its code), those of eq. 12 and
+    /// 13, and those of decisions 006 and 010.
+    #[test]
+    fn defaults_are_those_of_their_sources() {
+        let rates = RateConfig::default();
+        let rates = [
+            rates.log_scale,
+            rates.quaternion,
+            rates.opacity_logit,
+            rates.sh,
+            rates.sh_rest_divisor,
+        ];
+        assert_eq!(
+            rates,
+            [0.005, 0.001, 0.05, 0.0025, 20.0],
+            "3D Gaussian Splatting"
+        );
+        let train = TrainConfig::default();
+        let lambdas = [
+            train.lambda_photometric,
+            train.lambda_dynamic,
+            train.lambda_ssim,
+            train.lambda_depth,
+        ];
+        assert_eq!(
+            lambdas,
+            [0.8, 0.2, 0.2, 0.2],
+            "eq. 12, eq. 13, decision 006"
+        );
+        assert_eq!(
+            (train.sh_degree, train.sh_every, train.uses_per_level),
+            (3, 1000, 8)
+        );
+        assert_eq!(
+            (train.per_keyframe, train.per_frame, train.final_iterations),
+            (6, 1, 0),
+            "006"
+        );
+        assert_eq!(
+            (train.optimiser, train.dynamic_weight),
+            (Optimiser::Adam, DynamicWeight::Uniform)
+        );
+        assert_eq!((train.max_views, train.exclude_moving), (150, true), "010");
+        let densify = DensifyConfig::default();
+        assert_eq!(
+            [
+                densify.grad_threshold,
+                densify.split_extent,
+                densify.min_opacity
+            ],
+            [4e-4, 0.01, 0.05],
+            "010"
+        );
+        assert_eq!(
+            (densify.every, densify.young_keyframes, densify.prune_large),
+            (100, 100, false),
+            "010"
+        );
+        let insertion = InsertionConfig::default();
+        let shares = [
+            insertion.footprint,
+            insertion.opacity,
+            insertion.explained_opacity,
+            insertion.depth_ratio,
+        ];
+        assert_eq!(
+            (insertion.stride_px, shares),
+            (4, [0.6, 0.9, 0.6, 0.05]),
+            "docs/book/src/training.md"
+        );
+        assert_eq!(ScheduleConfig::default().handover_frames, 5, "006");
+    }
+}
