@@ -2,7 +2,9 @@
 
 use garad_core::{Camera, GaussianMap, KeyframeId, Label, Par, Real, Se3, So3, sh};
 use garad_golden::Inputs;
-use garad_raster::{ClampGradient, Gradients, Projected, RenderOptions, Rendered, Upstream};
+use garad_raster::{
+    ClampGradient, Gradients, Projected, RasterError, RenderOptions, Rendered, Upstream,
+};
 use garad_slam::mapping::iteration::Engine;
 use nalgebra::{Matrix3, Vector3};
 

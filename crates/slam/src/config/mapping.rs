@@ -122,6 +122,12 @@ pub enum Optimiser {
 }
 
 impl TrainConfig {
+    /// Iterations of the job of a keyframe that comes so many frames after the one before.
+    #[must_use]
+    pub fn iterations_of_job(&self, since_last: usize) -> usize {
+        self.per_keyframe + self.per_frame * since_last
+    }
+
     /// Whether images are kept to train on.
     #[must_use]
     pub fn keeps_views(&self) -> bool {
@@ -262,6 +268,19 @@ mod tests {
                 "{per_keyframe}, {per_frame}, {final_iterations}"
             );
         }
+    }
+
+    #[test]
+    fn a_job_has_iterations_for_its_keyframe_and_for_every_frame_since_the_last() {
+        let config = TrainConfig {
+            per_keyframe: 5,
+            per_frame: 3,
+            ..TrainConfig::default()
+        };
+        assert_eq!(
+            [0, 1, 7].map(|since| config.iterations_of_job(since)),
+            [5, 8, 26]
+        );
     }
 
     /// The numbers of 3D Gaussian Splatting (its paper's section 5.2 and the defaults of its code), those of eq. 12 and
