@@ -287,19 +287,17 @@ mod tests {
     /// 13, and those of decisions 006 and 010.
     #[test]
     fn defaults_are_those_of_their_sources() {
+        let bits = |numbers: [f64; 4]| numbers.map(f64::to_bits);
         let rates = RateConfig::default();
-        let rates = [
+        let steps = [
             rates.log_scale,
             rates.quaternion,
             rates.opacity_logit,
             rates.sh,
-            rates.sh_rest_divisor,
         ];
-        assert_eq!(
-            rates,
-            [0.005, 0.001, 0.05, 0.0025, 20.0],
-            "3D Gaussian Splatting"
-        );
+        let expected = [0.005, 0.001, 0.05, 0.0025];
+        assert_eq!(bits(steps), bits(expected), "3D Gaussian Splatting");
+        assert!((rates.sh_rest_divisor - 20.0).abs() < 1e-12, "the same");
         let train = TrainConfig::default();
         let lambdas = [
             train.lambda_photometric,
@@ -307,40 +305,25 @@ mod tests {
             train.lambda_ssim,
             train.lambda_depth,
         ];
-        assert_eq!(
-            lambdas,
-            [0.8, 0.2, 0.2, 0.2],
-            "eq. 12, eq. 13, decision 006"
-        );
-        assert_eq!(
-            (train.sh_degree, train.sh_every, train.uses_per_level),
-            (3, 1000, 8)
-        );
-        assert_eq!(
-            (train.per_keyframe, train.per_frame, train.final_iterations),
-            (6, 1, 0),
-            "006"
-        );
-        assert_eq!(
-            (train.optimiser, train.dynamic_weight),
-            (Optimiser::Adam, DynamicWeight::Uniform)
-        );
+        let expected = [0.8, 0.2, 0.2, 0.2];
+        assert_eq!(bits(lambdas), bits(expected), "eq. 12, 13, decision 006");
+        let levels = (train.sh_degree, train.sh_every, train.uses_per_level);
+        assert_eq!(levels, (3, 1000, 8), "3D Gaussian Splatting, 006");
+        let iterations = (train.per_keyframe, train.per_frame, train.final_iterations);
+        assert_eq!(iterations, (6, 1, 0), "006");
+        let kinds = (train.optimiser, train.dynamic_weight);
+        assert_eq!(kinds, (Optimiser::Adam, DynamicWeight::Uniform), "006");
         assert_eq!((train.max_views, train.exclude_moving), (150, true), "010");
         let densify = DensifyConfig::default();
-        assert_eq!(
-            [
-                densify.grad_threshold,
-                densify.split_extent,
-                densify.min_opacity
-            ],
-            [4e-4, 0.01, 0.05],
-            "010"
-        );
-        assert_eq!(
-            (densify.every, densify.young_keyframes, densify.prune_large),
-            (100, 100, false),
-            "010"
-        );
+        let limits = [
+            densify.grad_threshold,
+            densify.split_extent,
+            densify.min_opacity,
+            rates.mean,
+        ];
+        assert_eq!(bits(limits), bits([4e-4, 0.01, 0.05, 3.2e-4]), "010");
+        let counts = (densify.every, densify.young_keyframes, densify.prune_large);
+        assert_eq!(counts, (100, 100, false), "010");
         let insertion = InsertionConfig::default();
         let shares = [
             insertion.footprint,
@@ -348,10 +331,10 @@ mod tests {
             insertion.explained_opacity,
             insertion.depth_ratio,
         ];
+        assert_eq!(bits(shares), bits([0.6, 0.9, 0.6, 0.05]), "the book");
         assert_eq!(
-            (insertion.stride_px, shares),
-            (4, [0.6, 0.9, 0.6, 0.05]),
-            "docs/book/src/training.md"
+            insertion.stride_px, 4,
+            "the book: docs/book/src/training.md"
         );
         assert_eq!(ScheduleConfig::default().handover_frames, 5, "006");
     }

@@ -284,10 +284,8 @@ mod tests {
                 let ratio = parent / Real::exp(*log_scale);
                 assert!((ratio - 1.6).abs() < 1e-5, "each by {ratio}");
             }
-            assert_eq!(
-                map.quaternions[child], map.quaternions[0],
-                "as it is turned"
-            );
+            let turned = [child, 0].map(|i| map.quaternions[i].map(f32::to_bits));
+            assert_eq!(turned[0], turned[1], "as it is turned");
             assert!((map.opacity_logits[child] - 0.7).abs() < 1e-6, "as opaque");
         }
     }
