@@ -36,7 +36,7 @@ ORDER = ["golden", "slam", "synth", "eval", "raster_cpu", "dataset", "crf", "fea
 # Integration tests that run after the unit tests. Those of slam that take whole sequences through the system
 # would take most of the time, and name no stage.
 INTEGRATION = {"slam": ["labels", "stages"]}
-# Every stage below slam against its golden cases.
+# Every stage against its golden cases.
 CONFORMANCE = ("garad-conformance", ["--lib", "--test", "stages"])
 TIME_LIMIT_S = 600
 MOST_MISSED = 0.05
@@ -133,7 +133,7 @@ def try_all(root, target, crate, unit, limit_s=None):
     if not unit:
         tests = INTEGRATION.get(crate) or sorted(path.stem for path in (root / "crates" / crate / "tests").glob("*.rs"))
         parts += [(own, [word for name in tests for word in ("--test", name)])] if tests else []
-        parts += [CONFORMANCE] if crate != "slam" else []
+        parts += [CONFORMANCE]
     for name, which in parts:
         verdict, by = cargo_test(root, target, name, which, limit_s)
         if verdict != "missed":

@@ -23,6 +23,7 @@ mod poses;
 mod raster;
 mod recordings;
 mod stages;
+mod train_run;
 mod training;
 mod two_views;
 

@@ -3,47 +3,13 @@
 use garad_core::{Camera, GaussianMap, KeyframeId, Label, Par, Real, Se3, So3, sh};
 use garad_golden::Inputs;
 use garad_raster::{
-    ClampGradient, Gradients, Projected, RasterError, RenderOptions, Rendered, Upstream, fast,
+    ClampGradient, Gradients, Projected, RasterError, RenderOptions, Rendered, Upstream,
 };
+use garad_slam::mapping::iteration::Engine;
 use nalgebra::{Matrix3, Vector3};
 
 use crate::convert::{channels, has, matrix, plane, reals, rotation, rows};
 use crate::outputs::{Answer, Element, Error, Outputs};
-
-type Draw<T> =
-    fn(&GaussianMap<T>, &Camera, &Se3, &RenderOptions, Par) -> Result<Rendered<T>, RasterError>;
-type Back<T> = fn(
-    &GaussianMap<T>,
-    &Camera,
-    &Se3,
-    &RenderOptions,
-    &Rendered<T>,
-    &Upstream<T>,
-    Par,
-) -> Result<Gradients<T>, RasterError>;
-
-/// Both passes of one implementation.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Engine<T> {
-    pub(crate) draw: Draw<T>,
-    pub(crate) back: Back<T>,
-}
-
-impl<T: Real> Engine<T> {
-    /// The plain loops.
-    pub(crate) const REFERENCE: Self = Self {
-        draw: garad_raster::render,
-        back: garad_raster::backward,
-    };
-}
-
-impl Engine<f32> {
-    /// What the mapper trains with.
-    pub(crate) const FAST: Self = Self {
-        draw: fast::render,
-        back: fast::backward,
-    };
-}
 
 /// The Gaussians of a case, all static. Without opacities and colours they are grey and half clear.
 pub(crate) fn map<T: Real>(inputs: &Inputs) -> Result<GaussianMap<T>, Error> {

@@ -5,12 +5,12 @@ use garad_crf::Method;
 use garad_features::lk;
 use garad_golden::Inputs;
 use garad_raster::losses as loss;
+use garad_slam::mapping::iteration::Engine;
 
 use crate::outputs::{Answer, Error, Outputs};
-use crate::raster::Engine;
 use crate::{
-    bundle, features, field, geometry, judging, losses, poses, raster, recordings, training,
-    two_views,
+    bundle, features, field, geometry, judging, losses, poses, raster, recordings, train_run,
+    training, two_views,
 };
 
 /// In which numbers a stage computes.
@@ -126,6 +126,7 @@ pub const STAGES: &[(&str, &[Form])] = &[
         Form::f32("reference in f32", |i, par| training::train_step(i, par, Engine::<f32>::REFERENCE)),
         Form::f32("fast in f32", |i, par| training::train_step(i, par, Engine::FAST)),
     ]),
+    ("train_run", &[Form::only(|i, _| train_run::train_run(i))]),
     ("trajectory", &[Form::only(|i, _| judging::trajectory(i))]),
     ("image_metrics", &[Form::only(judging::image_metrics)]),
 ];

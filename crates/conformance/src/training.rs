@@ -1,16 +1,17 @@
 //! Initial scales, the optimiser, and whole iterations: render, losses, backward pass, step.
 
-use garad_core::{GaussianMap, Par, Real};
+use garad_core::{Par, Real};
 use garad_golden::{InputError, Inputs};
 use garad_optim::{Adam, AdamConfig};
-use garad_raster::losses::{depth_l1, opacity_penalty, photometric};
-use garad_raster::{
-    Gradients, Include, RenderOptions, Upstream, knn_scales_m, rms_neighbour_distances_m,
-};
+use garad_raster::{knn_scales_m, rms_neighbour_distances_m};
+use garad_slam::config::{Optimiser, RateConfig, TrainConfig};
+use garad_slam::mapping::iteration::{Engine, Iteration, iterate};
+use garad_slam::mapping::loss::{DEPTH_MIN_OPACITY, TargetImages};
+use garad_slam::mapping::optimiser::{GroupRates, ParameterGroups};
 
 use crate::convert::{channels, gray, has, labels, plane, reals};
-use crate::outputs::{Answer, Element, Error, Outputs};
-use crate::raster::{Engine, camera, map, pose, put_gradients};
+use crate::outputs::{Answer, Element, Outputs};
+use crate::raster::{camera, map, pose, put_gradients};
 
 /// Scales of the points from `first` on.
 pub(crate) fn knn_scale(inputs: &Inputs) -> Answer {
@@ -78,66 +79,70 @@ pub(crate) fn adam<T: Real + Element>(inputs: &Inputs) -> Answer {
     Ok(out)
 }
 
-/// The optimisers of the parameters of a map, with the rates of a case.
-struct Optimiser<T>(Vec<(Adam<T>, Vec<f64>)>);
-
-impl<T: Real> Optimiser<T> {
-    fn new(inputs: &Inputs, map: &GaussianMap<T>) -> Result<Self, Error> {
-        let columns = [
-            ("means", 3),
-            ("log_scales", 3),
-            ("quaternions", 4),
-            ("opacity_logits", 1),
-            ("sh", 3 * map.coefficients()),
-        ];
-        let mut groups = Vec::new();
-        for (name, width) in columns {
-            let mut rates = vec![inputs.number(&format!("rate_{name}"))?; width];
-            if name == "sh" {
-                let divisor = inputs.number("rate_sh_rest_divisor")?;
-                rates.iter_mut().skip(3).for_each(|rate| *rate /= divisor);
-            }
-            groups.push((Adam::new(adam_config(inputs)?, map.len(), width)?, rates));
-        }
-        Ok(Self(groups))
-    }
-
-    fn step(&mut self, map: &mut GaussianMap<T>, g: &Gradients<T>) -> Result<(), Error> {
-        let pairs: [(&mut [T], &[T]); 5] = [
-            (map.means.as_flattened_mut(), g.means.as_flattened()),
-            (
-                map.log_scales.as_flattened_mut(),
-                g.log_scales.as_flattened(),
-            ),
-            (
-                map.quaternions.as_flattened_mut(),
-                g.quaternions.as_flattened(),
-            ),
-            (&mut map.opacity_logits, &g.opacity_logits),
-            (map.sh.as_flattened_mut(), g.sh.as_flattened()),
-        ];
-        for ((parameters, gradient), (adam, rates)) in pairs.into_iter().zip(&mut self.0) {
-            adam.step_by_column(parameters, gradient, rates)?;
-        }
-        Ok(())
-    }
+/// The settings of a training iteration: weights of the loss, and rates.
+pub(crate) fn train_config(inputs: &Inputs) -> Result<TrainConfig, InputError> {
+    let number = |name: &str| inputs.number(name);
+    Ok(TrainConfig {
+        lambda_photometric: number("lambda_photometric")?,
+        lambda_ssim: number("lambda_ssim")?,
+        lambda_depth: number("lambda_depth")?,
+        lambda_dynamic: number("lambda_dynamic")?,
+        rates: rates(inputs)?,
+        ..TrainConfig::default()
+    })
 }
 
-/// Iteration k looks at view k.
+pub(crate) fn rates(inputs: &Inputs) -> Result<RateConfig, InputError> {
+    let rate = |name: &str| inputs.number(&format!("rate_{name}"));
+    Ok(RateConfig {
+        mean: rate("means")?,
+        log_scale: rate("log_scales")?,
+        quaternion: rate("quaternions")?,
+        opacity_logit: rate("opacity_logits")?,
+        sh: rate("sh")?,
+        sh_rest_divisor: rate("sh_rest_divisor")?,
+    })
+}
+
+/// Iteration k looks at view k. The functions are those of the mapper's loop, which renders over black and compares
+/// depth from [`DEPTH_MIN_OPACITY`] on.
 pub(crate) fn train_step<T: Real + Element>(
     inputs: &Inputs,
     par: Par,
     engine: Engine<T>,
 ) -> Answer {
+    let black = inputs.row::<3>("background")?.iter().all(|v| *v <= 0.0);
+    if !black || (inputs.number("min_opacity")? - DEPTH_MIN_OPACITY).abs() > 0.0 {
+        return Err(
+            "training has a black background and compares depth from opacity 0.5 on".into(),
+        );
+    }
     let mut map = map::<T>(inputs)?;
     map.label = labels(inputs, "dynamic")?;
-    let mut optimiser = Optimiser::new(inputs, &map)?;
+    let config = train_config(inputs)?;
+    let rates = GroupRates::new(&config.rates, 1.0);
+    let mut groups = ParameterGroups::new(adam_config(inputs)?)?;
+    groups.fit(&map)?;
+    let camera = camera(inputs)?;
     let mut out = Outputs::default();
     for step in 0..inputs.count("iterations")? {
         let suffix = format!("_{step}");
-        let (loss, gradients) = iteration(inputs, par, engine, &map, &suffix)?;
-        optimiser.step(&mut map, &gradients)?;
         let named = |name: &str| format!("{name}{suffix}");
+        let (pose, color) = (pose(inputs, &suffix)?, channels(inputs, &named("target"))?);
+        let (depth, excluded) = (
+            plane(inputs, &named("measured"))?,
+            gray(inputs, &named("excluded"))?,
+        );
+        let target = TargetImages {
+            color: &color,
+            depth: Some(&depth),
+            excluded: &excluded,
+        };
+        let view = (&camera, &pose);
+        let Iteration {
+            loss, gradients, ..
+        } = iterate(engine, &map, view, target, None, &config, par)?;
+        groups.step(&mut map, &gradients, &rates, Optimiser::Adam)?;
         out.put(&named("loss"), [loss]);
         put_gradients(&mut out, &gradients, map.coefficients(), &suffix)?;
         out.put(&named("means"), map.means.iter().copied());
@@ -148,51 +153,4 @@ pub(crate) fn train_step<T: Real + Element>(
         out.shaped(&named("sh"), &axes, map.sh.iter().copied())?;
     }
     Ok(out)
-}
-
-fn iteration<T: Real>(
-    inputs: &Inputs,
-    par: Par,
-    engine: Engine<T>,
-    map: &GaussianMap<T>,
-    suffix: &str,
-) -> Result<(T, Gradients<T>), Error> {
-    let named = |name: &str| format!("{name}{suffix}");
-    let weight = |name: &str| inputs.number(name).map(T::from_f64);
-    let (camera, pose) = (camera(inputs)?, pose(inputs, suffix)?);
-    let options = RenderOptions {
-        background: inputs.row("background")?,
-        include: Include::StaticOnly,
-        ..RenderOptions::default()
-    };
-    let image = (engine.draw)(map, &camera, &pose, &options, par)?;
-    let excluded = gray(inputs, &named("excluded"))?;
-    let target = channels(inputs, &named("target"))?;
-    let lambda = inputs.number("lambda_ssim")?;
-    let photo = photometric(&image.color, &target, lambda, Some(&excluded), par)?;
-    let depth = depth_l1(
-        &image.depth,
-        &image.opacity,
-        &plane(inputs, &named("measured"))?,
-        inputs.number("min_opacity")?,
-        Some(&excluded),
-    )?;
-    let penalty = opacity_penalty(&map.opacity_logits, &map.label, None)?;
-    let by_image = weight("lambda_photometric")?;
-    let (by_depth, by_label) = (weight("lambda_depth")?, weight("lambda_dynamic")?);
-    let upstream = Upstream {
-        color: photo.gradient.map(|g| g.map(|v| v * by_image)),
-        depth: Some(depth.depth.map(|v| *v * by_depth)),
-        opacity: Some(depth.opacity.map(|v| *v * by_depth)),
-    };
-    let mut gradients = (engine.back)(map, &camera, &pose, &options, &image, &upstream, par)?;
-    for (g, &pull) in gradients
-        .opacity_logits
-        .iter_mut()
-        .zip(&penalty.opacity_logits)
-    {
-        *g += by_label * pull;
-    }
-    let loss = by_image * photo.value + by_depth * depth.value + by_label * penalty.value;
-    Ok((loss, gradients))
 }

@@ -82,6 +82,7 @@ stages! {
     fn knn_scale();
     fn adam();
     fn train_step();
+    fn train_run();
     fn trajectory();
     fn image_metrics();
 }

@@ -65,6 +65,7 @@ pub const STAGES: &[Stage] = &[
     stage("knn_scale", "initial scales", &[], "points to the scales of new Gaussians, by three neighbours each"),
     stage("adam", "adam", &[], "parameters after every step"),
     stage("train_step", "one training iteration", &["raster", "raster_backward", "losses", "adam"], "a map after one iteration"),
+    stage("train_run", "a training run", &["label_window", "adam"], "sixty iterations over a growing map: views, levels, rates, labels, clones, splits, pruning, and the state of every Gaussian"),
     stage("trajectory", "judging", &["associate"], "alignment, ATE, RPE"),
     stage("image_metrics", "judging", &[], "PSNR and SSIM"),
     stage("trace", "trace of several frames", &["orb", "flow", "pose_lm", "bundle", "mean_field", "train_step"],
@@ -93,6 +94,7 @@ pub const PARTS: &[&str] = &[
     "l1/ssim and gradients",
     "adam",
     "one training iteration",
+    "a training run",
     "trace of several frames",
 ];
 

@@ -99,6 +99,11 @@ pub const TABLE: &[Tolerance] = &[
     abs_rel("train_step.loss", 0.0, 4e-15, "measured 1e-15: sums over a thousand pixels"),
     vector("train_step.gradient", 0.0, 1.5e-14, "measured 3.3e-15: losses.gradient on an image with texture, through the backward pass"),
     abs_rel("train_step.parameter", 1e-14, 0.0, "measured 2e-15: a step of at most 0.25 whose size is the quotient of two gradients"),
+    // train_run: Adam in f32 over sixty iterations, against f64
+    abs_rel("train_run.rate", 0.0, 1e-15, "measured 4.4e-16: a product or a quotient; the extent is a distance"),
+    abs_rel("train_run.parameter", 6e-6, 0.0, "measured 1.9e-6, in f32: a rounding of 1.2e-7 of numbers of size 3 in each of sixty steps"),
+    vector("train_run.moment", 0.0, 1e-6, "measured 4.5e-7, in f32: running means, each a few roundings of the largest gradient"),
+    abs_rel("train_run.sum", 0.0, 6e-7, "measured 1.9e-7, in f32: a sum of up to 25 positive numbers"),
     // raster, forward in f64
     abs_rel("raster.color", 1e-13, 1e-13, "measured 1e-14: alpha is conditioned like its power, |power| < 6, and power like the mean over the thinnest sigma"),
     vector("raster.depth", 0.0, 1e-13, "as colour, in metres"),

@@ -85,6 +85,12 @@ impl<T: Real> Adam<T> {
         self.moments.len() / self.width
     }
 
+    /// (m, v) of each number, row by row.
+    #[must_use]
+    pub fn moments(&self) -> &[[T; 2]] {
+        &self.moments
+    }
+
     /// One step down `gradient` (O6), the learning rate η in units of the parameters.
     ///
     /// # Numerics

@@ -15,7 +15,7 @@
 //! |---|---|---|
 //! | [`job`], [`worker`], [`mapper`] | a job, where it runs, its stages | III |
 //! | [`loop_correction`], [`relabel`], [`insert`] | what changes the map before training | III-A, III-C |
-//! | [`train`], `loss`, `coarse_to_fine` | one iteration | eq. 12, 13, 15, 16 |
+//! | [`train`], [`iteration`], [`loss`], [`optimiser`], `coarse_to_fine` | one iteration | eq. 12, 13, 15, 16 |
 //! | [`view`], `view_mask` | the images, and what is excluded from them | |
 //! | [`densify`] | clone, split, prune | III-C |
 
@@ -23,10 +23,12 @@ pub(crate) mod coarse_to_fine;
 pub mod densify;
 pub mod error;
 pub mod insert;
+pub mod iteration;
 pub mod job;
 pub mod loop_correction;
-pub(crate) mod loss;
+pub mod loss;
 pub mod mapper;
+pub mod optimiser;
 pub mod relabel;
 pub mod train;
 pub mod view;
@@ -244,11 +246,15 @@ mod tests {
         }
     }
 
-    fn mapping(threads: usize) -> Mapping {
+    fn context(threads: usize, handover_frames: u32) -> Context {
         let camera = Camera::pinhole((32, 24), [30.0, 30.0, 15.5, 11.5]).expect("valid");
-        let par = Par::new(threads);
-        let context = Context::new(camera, Config::default(), 0, par).expect("valid");
-        Mapping::new(&context).expect("valid")
+        let mut config = Config::default();
+        config.schedule.handover_frames = handover_frames;
+        Context::new(camera, config, 0, Par::new(threads)).expect("valid")
+    }
+
+    fn mapping(threads: usize) -> Mapping {
+        Mapping::new(&context(threads, 5)).expect("valid")
     }
 
     /// Frame by frame: which keyframe's job is handed over when.
@@ -285,6 +291,72 @@ mod tests {
             map_inline.mapper().expect("at rest").gaussians()
                 == map_threaded.mapper().expect("at rest").gaussians(),
             "and the same map"
+        );
+    }
+
+    #[test]
+    fn a_job_is_due_at_its_frame_and_the_configured_number_more() {
+        for (handover_frames, due) in [(0, 7), (3, 10), (u32::MAX, u32::MAX)] {
+            let mut mapping = Mapping::new(&context(1, handover_frames)).expect("valid");
+            assert!(!mapping.is_due(FrameId(u32::MAX)), "nothing was submitted");
+            assert!(mapping.hand_over().expect("alive").is_none(), "nothing");
+            mapping.submit(job(0, 7)).expect("alive");
+            assert!(
+                !mapping.is_due(FrameId(due - 1)),
+                "{handover_frames}: too soon"
+            );
+            assert!(mapping.is_due(FrameId(due)), "{handover_frames}");
+        }
+    }
+
+    /// Two jobs, settled as for a session, then a third: answers come in the order of the keyframes.
+    #[test]
+    fn answers_of_a_settled_mapper_wait_for_their_frame() {
+        for threads in [1, 2] {
+            let mut mapping = mapping(threads);
+            mapping.submit(job(0, 0)).expect("alive");
+            mapping.submit(job(1, 3)).expect("alive");
+            mapping.settle().expect("alive");
+            assert!(
+                mapping.mapper().is_some_and(|m| !m.gaussians().is_empty()),
+                "at rest"
+            );
+            assert!(mapping.done().is_empty(), "nothing is handed over");
+            assert!(
+                mapping.is_due(FrameId(5)) && !mapping.is_due(FrameId(4)),
+                "as before"
+            );
+            mapping.settle().expect("twice is once");
+            mapping.submit(job(2, 4)).expect("alive");
+            assert_eq!(mapping.finish().expect("alive").len(), 3, "of each job");
+            let done: Vec<_> = mapping
+                .done()
+                .iter()
+                .map(|d| (d.keyframe.0, d.frame.0))
+                .collect();
+            assert_eq!(done, [(0, 0), (1, 3), (2, 4)]);
+            assert!(mapping.done().iter().all(|d| d.loss.is_some()), "trained");
+            mapping.clear_done();
+            assert!(mapping.done().is_empty(), "forgotten");
+            assert!(
+                mapping.finish().expect("alive").is_empty(),
+                "no job is left"
+            );
+        }
+    }
+
+    #[test]
+    fn feedback_is_handed_over_once() {
+        let mut context = context(1, 0);
+        context.config.labels.source = crate::config::LabelSource::Gaussians;
+        let mut mapping = Mapping::new(&context).expect("valid");
+        mapping.submit(job(0, 0)).expect("alive");
+        let feedback = mapping.hand_over().expect("alive").expect("a job");
+        assert!(feedback.dynamic.is_some(), "{feedback:?}");
+        assert_eq!(
+            mapping.done()[0].feedback,
+            MapFeedback::default(),
+            "not kept"
         );
     }
 

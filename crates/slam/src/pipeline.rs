@@ -474,7 +474,7 @@ impl Slam {
                     .landmarks()
                     .map(|(l, landmark)| (l, landmark.label()))
                     .collect(),
-                iterations: config.train.per_keyframe + config.train.per_frame * since_last,
+                iterations: config.train.iterations_of_job(since_last),
             };
             self.mapping.submit(job)?;
         }

@@ -122,6 +122,12 @@ pub enum Optimiser {
 }
 
 impl TrainConfig {
+    /// Iterations of the job of a keyframe that comes so many frames after the one before.
+    #[must_use]
+    pub fn iterations_of_job(&self, since_last: usize) -> usize {
+        self.per_keyframe + self.per_frame * since_last
+    }
+
     /// Whether images are kept to train on.
     #[must_use]
     pub fn keeps_views(&self) -> bool {
@@ -234,5 +240,102 @@ impl Default for RateConfig {
             sh: 2.5e-3,
             sh_rest_divisor: 20.0,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One iteration of any kind is enough.
+    #[test]
+    fn views_are_kept_if_there_is_training() {
+        for (per_keyframe, per_frame, final_iterations, keeps) in [
+            (0, 0, 0, false),
+            (1, 0, 0, true),
+            (0, 1, 0, true),
+            (0, 0, 1, true),
+        ] {
+            let config = TrainConfig {
+                per_keyframe,
+                per_frame,
+                final_iterations,
+                ..TrainConfig::default()
+            };
+            assert_eq!(
+                config.keeps_views(),
+                keeps,
+                "{per_keyframe}, {per_frame}, {final_iterations}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_job_has_iterations_for_its_keyframe_and_for_every_frame_since_the_last() {
+        let config = TrainConfig {
+            per_keyframe: 5,
+            per_frame: 3,
+            ..TrainConfig::default()
+        };
+        assert_eq!(
+            [0, 1, 7].map(|since| config.iterations_of_job(since)),
+            [5, 8, 26]
+        );
+    }
+
+    /// The numbers of 3D Gaussian Splatting (its paper's section 5.2 and the defaults of its code), those of eq. 12 and
+    /// 13, and those of decisions 006 and 010.
+    #[test]
+    fn defaults_are_those_of_their_sources() {
+        let bits = |numbers: [f64; 4]| numbers.map(f64::to_bits);
+        let rates = RateConfig::default();
+        let steps = [
+            rates.log_scale,
+            rates.quaternion,
+            rates.opacity_logit,
+            rates.sh,
+        ];
+        let expected = [0.005, 0.001, 0.05, 0.0025];
+        assert_eq!(bits(steps), bits(expected), "3D Gaussian Splatting");
+        assert!((rates.sh_rest_divisor - 20.0).abs() < 1e-12, "the same");
+        let train = TrainConfig::default();
+        let lambdas = [
+            train.lambda_photometric,
+            train.lambda_dynamic,
+            train.lambda_ssim,
+            train.lambda_depth,
+        ];
+        let expected = [0.8, 0.2, 0.2, 0.2];
+        assert_eq!(bits(lambdas), bits(expected), "eq. 12, 13, decision 006");
+        let levels = (train.sh_degree, train.sh_every, train.uses_per_level);
+        assert_eq!(levels, (3, 1000, 8), "3D Gaussian Splatting, 006");
+        let iterations = (train.per_keyframe, train.per_frame, train.final_iterations);
+        assert_eq!(iterations, (6, 1, 0), "006");
+        let kinds = (train.optimiser, train.dynamic_weight);
+        assert_eq!(kinds, (Optimiser::Adam, DynamicWeight::Uniform), "006");
+        assert_eq!((train.max_views, train.exclude_moving), (150, true), "010");
+        let densify = DensifyConfig::default();
+        let limits = [
+            densify.grad_threshold,
+            densify.split_extent,
+            densify.min_opacity,
+            rates.mean,
+        ];
+        assert_eq!(bits(limits), bits([4e-4, 0.01, 0.05, 3.2e-4]), "010");
+        let counts = (densify.every, densify.young_keyframes, densify.prune_large);
+        assert_eq!(counts, (100, 100, false), "010");
+        let insertion = InsertionConfig::default();
+        let shares = [
+            insertion.footprint,
+            insertion.opacity,
+            insertion.explained_opacity,
+            insertion.depth_ratio,
+        ];
+        assert_eq!(bits(shares), bits([0.6, 0.9, 0.6, 0.05]), "the book");
+        assert_eq!(
+            insertion.stride_px, 4,
+            "the book: docs/book/src/training.md"
+        );
+        assert_eq!(ScheduleConfig::default().handover_frames, 5, "006");
     }
 }

@@ -26,3 +26,34 @@ pub(crate) fn level_of_iteration(uses: usize, per_level: usize) -> usize {
 pub(crate) fn gaussian_pyramid(image: Image<[f32; 3]>, level: usize) -> Image<[f32; 3]> {
     (0..level).fold(image, |image, _| halve_real(&image))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_coarse_level_has_its_uses_and_the_finest_the_rest() {
+        for (per_level, expected) in [
+            (3, [2, 2, 2, 1, 1, 1, 0, 0]),
+            (1, [2, 1, 0, 0, 0, 0, 0, 0]),
+            (0, [0; 8]),
+        ] {
+            let levels: Vec<_> = (0..8)
+                .map(|uses| level_of_iteration(uses, per_level))
+                .collect();
+            assert_eq!(levels, expected, "{per_level} each");
+        }
+    }
+
+    /// One white pixel: (6/16)² of it after a halving.
+    #[test]
+    fn each_level_is_smoothed_and_halved() {
+        let white = |x, y| [if (x, y) == (8, 4) { 1.0 } else { 0.0 }, 0.5, 0.0];
+        let image = Image::from_fn(16, 12, white);
+        assert_eq!(gaussian_pyramid(image.clone(), 0), image, "as it is");
+        let half = gaussian_pyramid(image.clone(), 1);
+        assert_eq!((half.size(), half[(4, 2)]), ((8, 6), [0.140_625, 0.5, 0.0]));
+        let quarter = gaussian_pyramid(image, 2);
+        assert_eq!((quarter.size(), quarter[(2, 1)][1]), ((4, 3), 0.5));
+    }
+}

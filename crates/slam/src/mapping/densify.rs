@@ -43,6 +43,11 @@ impl Densifier {
         self.seen.retain(|_| kept.next().copied().unwrap_or(true));
     }
 
+    /// Σ |∂L/∂(NDC x, y)| and the number of iterations, since the last densification.
+    pub(super) fn sums(&self) -> (&[f32], &[u32]) {
+        (&self.gradient, &self.seen)
+    }
+
     /// Mean gradient; 0 if it was not rendered.
     fn mean(&self, i: usize) -> f64 {
         match self.seen.get(i) {
@@ -209,33 +214,110 @@ mod tests {
         assert!(too_large(&map, 2.0)[0], "one axis is enough");
     }
 
+    /// With small static Gaussians: the mean gradient, room for so many more, and how many come.
     #[test]
-    fn small_gradients_and_a_full_map_change_nothing() {
-        let config = DensifyConfig {
-            max_gaussians: 3,
-            ..DensifyConfig::default()
-        };
-        let mut full = map(&[0.005; 2]);
-        densify(
-            &mut full,
-            &with_gradient(2, [1.0, 0.0]),
-            1.0,
-            KeyframeId(0),
-            &config,
-            &mut Rng::new(1),
+    fn a_clone_needs_the_gradient_and_room_for_two() {
+        for (gradient, room, clones) in [
+            (0.5, 9, 2), // the threshold itself
+            (0.499, 9, 0),
+            (0.75, 9, 2),
+            (0.75, 3, 2), // the first leaves room for two
+            (0.75, 2, 1),
+            (0.75, 1, 0),
+        ] {
+            let mut map = map(&[0.005; 2]);
+            let config = DensifyConfig {
+                grad_threshold: 0.5,
+                max_gaussians: 2 + room,
+                ..DensifyConfig::default()
+            };
+            let accumulated = with_gradient(2, [gradient / 100.0, 0.0]);
+            let (young_from, mut rng) = (KeyframeId(0), Rng::new(1));
+            densify(&mut map, &accumulated, 1.0, young_from, &config, &mut rng);
+            assert_eq!(map.len(), 2 + clones, "{gradient} and {room}");
+        }
+    }
+
+    /// Standard deviations of 1 m and half of it: a share of 0.25 of 4 m is the limit.
+    #[test]
+    fn one_standard_deviation_above_the_limit_is_enough_for_a_split() {
+        for (extent_m, axis, is_split) in [(4.0, 0, false), (3.99, 0, true), (3.99, 2, true)] {
+            let mut map = map(&[0.5]);
+            map.log_scales[0][axis] = 0.0;
+            let config = DensifyConfig {
+                split_extent: 0.25,
+                ..DensifyConfig::default()
+            };
+            let accumulated = with_gradient(1, [1.0, 0.0]);
+            let (young_from, mut rng) = (KeyframeId(0), Rng::new(1));
+            let split = densify(
+                &mut map,
+                &accumulated,
+                extent_m,
+                young_from,
+                &config,
+                &mut rng,
+            );
+            assert_eq!(split, [is_split], "{extent_m} m, axis {axis}");
+            assert_eq!(map.len(), if is_split { 3 } else { 2 }, "clone or children");
+        }
+    }
+
+    /// A quarter turn about z takes the own axes (x, y, z) to (y, -x, z).
+    #[test]
+    fn children_are_drawn_along_the_axes_of_their_parent() {
+        let mut map = map(&[0.1]);
+        map.log_scales[0] = [0.5f32, 0.25, 2.0].map(Real::ln);
+        map.quaternions[0] = [1.0, 0.0, 0.0, 1.0];
+        map.opacity_logits[0] = 0.7;
+        let mut draws = Rng::new(5);
+        let accumulated = with_gradient(1, [1.0, 0.0]);
+        let (young_from, config) = (KeyframeId(0), DensifyConfig::default());
+        let rng = &mut draws.clone();
+        densify(&mut map, &accumulated, 1.0, young_from, &config, rng);
+        for child in [1, 2] {
+            let [a, b, c] = [0.5, 0.25, 2.0].map(|sigma| sigma * draws.normal());
+            let expected = Vector3::new(-b, a, 2.0 + c);
+            let mean = Vector3::from(map.means[child].map(f64::from));
+            assert!((mean - expected).norm() < 1e-6, "{mean} and {expected}");
+            for (log_scale, parent) in map.log_scales[child].iter().zip([0.5f32, 0.25, 2.0]) {
+                let ratio = parent / Real::exp(*log_scale);
+                assert!((ratio - 1.6).abs() < 1e-5, "each by {ratio}");
+            }
+            let turned = [child, 0].map(|i| map.quaternions[i].map(f32::to_bits));
+            assert_eq!(turned[0], turned[1], "as it is turned");
+            assert!((map.opacity_logits[child] - 0.7).abs() < 1e-6, "as opaque");
+        }
+    }
+
+    #[test]
+    fn sums_stay_with_their_gaussians_and_count_what_was_rendered() {
+        let camera = Camera::pinhole((4, 2), [4.0, 3.0, 1.5, 0.5]).expect("valid");
+        let mut accumulated = Densifier::default();
+        accumulated.add(&[[1.0, 0.0], [0.0, 2.0]], &[1, 0], &camera);
+        accumulated.add(&[[2.0, 0.0], [0.0, 3.0], [3.0, 4.0]], &[7, 1, 1], &camera);
+        assert_eq!(
+            accumulated.sums(),
+            (&[6.0, 3.0, (36.0f32 + 16.0).sqrt()][..], &[2, 1, 1][..])
         );
-        assert!(full.len() <= 3, "the cap: {}", full.len());
-        let mut calm = map(&[0.005; 2]);
-        let weak = with_gradient(2, [1e-9, 0.0]);
-        densify(
-            &mut calm,
-            &weak,
-            1.0,
-            KeyframeId(0),
-            &DensifyConfig::default(),
-            &mut Rng::new(1),
+        accumulated.retain(&[true, false, true]);
+        assert!((accumulated.mean(0) - 3.0).abs() < 1e-12, "(2 + 4)/2");
+        assert!(
+            (accumulated.mean(1) - 52f64.sqrt()).abs() < 1e-6,
+            "the third"
         );
-        assert_eq!(calm.len(), 2, "small gradients");
+        assert!(accumulated.mean(2).abs() < 1e-12, "unknown");
+    }
+
+    #[test]
+    fn what_is_at_a_limit_stays() {
+        let mut map = map(&[1.0; 2]);
+        map.log_scales[1][2] = 1e-3;
+        assert_eq!(too_large(&map, 10.0), [false, true], "a tenth of 10 m");
+        map.opacity_logits = vec![0.0, -1e-3];
+        assert_eq!(faded(&map, 0.5), [false, true], "opacity 0.5");
+        map.opacity_logits = vec![-1.0, -1.2]; // 0.27, 0.23
+        assert_eq!(faded(&map, 0.25), [false, true], "opacity 0.25");
     }
 
     #[test]

@@ -21,7 +21,7 @@ use super::insert::{insert_depth_samples, insert_landmarks, scale_by_neighbours,
 use super::job::{MapFeedback, MappingDone, MappingJob};
 use super::loop_correction::apply_loop_correction;
 use super::relabel::{Relabelled, assert_labels_agree, push_labels, relabel};
-use super::train::{Pick, TrainStep, Trainer, TrainingScene};
+use super::train::{Pick, TrainStep, Trainer, TrainingScene, extent_m};
 use super::view::TrainingView;
 use super::view_mask::{LaterView, ViewDepth};
 use crate::config::{
@@ -424,8 +424,7 @@ impl Mapper {
         self.trainer.thin_views(train.max_views, &self.poses);
     }
 
-    /// Trains beside tracking: every second iteration on the newest keyframe, which the map knows
-    /// least about.
+    /// Trains beside tracking ([`Pick::beside_tracking`]).
     fn train(
         &mut self,
         iterations: usize,
@@ -434,12 +433,8 @@ impl Mapper {
     ) -> Result<(), TrainError> {
         let densify = self.context.config.densify.clone();
         for i in 0..iterations {
-            let pick = match i % 2 {
-                0 => Pick::Youngest,
-                _ => Pick::Shuffled,
-            };
             observer.begin(Stage::Train);
-            let step = self.step(pick, Some(&densify));
+            let step = self.step(Pick::beside_tracking(i), Some(&densify));
             observer.end(Stage::Train);
             match step? {
                 Some(step) => *loss = Some(step.loss),
@@ -500,22 +495,6 @@ impl Mapper {
             &mut self.recorder,
         )
     }
-}
-
-/// Extent of the camera's path: 1.1 times the largest distance of a keyframe from their mean, at
-/// least a metre.
-fn extent_m(camera_from_world: &[Se3]) -> f64 {
-    let centers: Vec<Vector3<f64>> = camera_from_world
-        .iter()
-        .map(|pose| pose.inverse().translation)
-        .collect();
-    let n = centers.len().max(1) as f64;
-    let mean = centers.iter().fold(Vector3::zeros(), |sum, c| sum + c / n);
-    let radius = centers
-        .iter()
-        .map(|c| (c - mean).norm())
-        .fold(0.0, f64::max);
-    (1.1 * radius).max(1.0)
 }
 
 #[cfg(test)]

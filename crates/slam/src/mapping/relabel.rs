@@ -63,7 +63,10 @@ pub(crate) fn relabel(
 
 /// Adds a label to the window of each Gaussian that has one here; the second result marks those that were dynamic for
 /// a whole window.
-pub(crate) fn push_labels(
+///
+/// # Panics
+/// If there are more labels than Gaussians or windows.
+pub fn push_labels(
     map: &mut GaussianMap,
     windows: &mut [LabelWindow],
     labels: &[Option<Label>],
@@ -170,6 +173,79 @@ mod tests {
         free_space.set_moving(MaskImage::new(16, 12, 0));
         run(&mut map, &mut windows, &free_space);
         assert_eq!(map.label, [Label::Static], "found static again");
+    }
+
+    /// At 1 m in front of a wall at 2 m, so many standard deviations of depth in free space: 1 m / σ.
+    #[test]
+    fn free_space_counts_from_the_configured_number_of_standard_deviations() {
+        let free_space = FreeSpace::new(&DepthImage::new(64, 48, 2.0), 8.0);
+        let camera = Camera::pinhole((64, 48), [60.0, 60.0, 31.5, 23.5]).expect("valid");
+        let mut config = LabelConfig::default();
+        config.noise.per_m = 0.0;
+        config.noise.floor_m = 0.125;
+        for (suspect_sigmas, pose_z_m, expected) in [
+            (7.5, 0.0, Some(Label::Dynamic)),
+            (8.0, 0.0, None),                   // as many, not more
+            (8.0, -0.25, Some(Label::Dynamic)), // the camera's z is 0.75 m
+            (8.0, 0.25, None),
+            (0.5, 0.9, Some(Label::Static)), // within a standard deviation of the surface
+        ] {
+            config.suspect_sigmas = suspect_sigmas;
+            let (mut map, mut windows) = (map(&[1.0]), vec![LabelWindow::default()]);
+            let pose = Se3::new(
+                garad_core::So3::identity(),
+                Vector3::new(0.0, 0.0, pose_z_m),
+            );
+            let (free_space, of) = (Some(&free_space), (&camera, &pose));
+            relabel(&mut map, &mut windows, &[], free_space, of.0, of.1, &config);
+            let case = format!("{suspect_sigmas} at {pose_z_m} m");
+            assert_eq!(map.label[0], expected.unwrap_or(Label::Static), "{case}");
+            assert_eq!(windows[0].seen(), u32::from(expected.is_some()), "{case}");
+        }
+    }
+
+    /// Two runs make a window. Per row: its label and its last run, then what it is now given.
+    #[test]
+    fn labels_are_counted_stored_and_remembered() {
+        use Label::{Dynamic, Static};
+        let config = LabelWindowConfig {
+            runs: 2,
+            ..LabelWindowConfig::default()
+        };
+        let rows = [
+            (Static, Some(Dynamic), true, false),
+            (Static, Some(Static), false, false),
+            (Dynamic, Some(Dynamic), false, true),
+            (Dynamic, Some(Static), true, false),
+            (Dynamic, None, false, false),
+        ];
+        let (mut map, mut windows) = (map(&[2.0; 5]), vec![LabelWindow::default(); 5]);
+        for (i, row) in rows.iter().enumerate() {
+            map.label[i] = row.0;
+            windows[i].push(row.0);
+        }
+        let labels = rows.map(|row| row.1);
+        let (counts, expired) = push_labels(&mut map, &mut windows, &labels, &config);
+        assert_eq!(expired, rows.map(|row| row.3), "dynamic in both runs");
+        let expected = Relabelled {
+            to_dynamic: 1,
+            to_static: 1,
+            removed: 1,
+        };
+        assert_eq!(counts, expected);
+        assert_eq!(map.label, rows.map(|row| row.1.unwrap_or(row.0)), "stored");
+        let seen: Vec<_> = windows.iter().map(LabelWindow::seen).collect();
+        assert_eq!(seen, [2, 2, 2, 2, 1], "remembered");
+    }
+
+    #[test]
+    #[should_panic(expected = "Gaussian 0 and landmark Some(LandmarkId(4)) differ")]
+    fn a_tagged_gaussian_that_differs_from_its_landmark_is_noticed() {
+        let mut map = map(&[2.0]);
+        map.landmark[0] = Some(LandmarkId(4));
+        let living = [(LandmarkId(4), Label::Dynamic)];
+        assert_labels_agree(&map, &[], &living, TaggedLabels::Evidence); // not named
+        assert_labels_agree(&map, &[], &living, TaggedLabels::Landmark);
     }
 
     /// A tagged Gaussian in free space, whose landmark is labelled, changed or not named.

@@ -10,18 +10,18 @@ use std::io::{Read, Write};
 use garad_core::undistort::Undistortion;
 use garad_core::{Camera, GaussianMap, KeyframeId, Par, Real, Rng, Se3};
 use garad_crf::LabelWindow;
-use garad_optim::{Adam, AdamConfig, OptimError, sgd};
-use garad_raster::{Gradients, Include, RenderOptions, fast};
-use serde::{Deserialize, Serialize};
+use garad_optim::{AdamConfig, OptimError};
+use garad_raster::Gradients;
+use nalgebra::Vector3;
 
 use super::densify::{Densifier, densify, faded, too_large};
 use super::error::TrainError;
-use super::loss::training_loss;
+use super::iteration::{Engine, Iteration, iterate};
+use super::loss::TargetImages;
+use super::optimiser::{GroupRates, ParameterGroups};
 use super::view::{TrainingView, least_needed};
 use super::view_mask::LaterView;
-use crate::config::{
-    DensifyConfig, DynamicWeight, LabelConfig, Optimiser, RateConfig, TrainConfig,
-};
+use crate::config::{DensifyConfig, DynamicWeight, LabelConfig, TrainConfig};
 use crate::session::sections::{SectionReader, SectionWriter, SessionError};
 use crate::trace::Recorder;
 
@@ -34,42 +34,11 @@ pub struct Trainer {
     order: Vec<usize>,
     rng: Rng,
     seed: u64,
-    groups: Groups,
+    groups: ParameterGroups<f32>,
     /// Labels of the last runs of each Gaussian (eq. 7).
     windows: Vec<LabelWindow>,
     densifier: Densifier,
     iterations: usize,
-}
-
-/// One optimiser per kind of parameter.
-#[derive(Debug, Serialize, Deserialize)]
-struct Groups {
-    means: Adam<f32>,
-    log_scales: Adam<f32>,
-    quaternions: Adam<f32>,
-    opacity_logits: Adam<f32>,
-    sh: Adam<f32>,
-}
-
-impl Groups {
-    fn each_mut(&mut self) -> [&mut Adam<f32>; 5] {
-        [
-            &mut self.means,
-            &mut self.log_scales,
-            &mut self.quaternions,
-            &mut self.opacity_logits,
-            &mut self.sh,
-        ]
-    }
-}
-
-/// One group about to take a step.
-struct Step<'a> {
-    parameters: &'a mut [f32],
-    gradient: &'a [f32],
-    adam: &'a mut Adam<f32>,
-    /// One per column.
-    rates: Vec<f64>,
 }
 
 /// Which keyframe an iteration trains on.
@@ -79,6 +48,53 @@ pub enum Pick {
     Youngest,
     /// The next in a shuffled order of all, repeated.
     Shuffled,
+}
+
+impl Pick {
+    /// Of iteration `i` of a job, from 0: every second one trains on the newest keyframe, which the map knows least
+    /// about.
+    #[must_use]
+    pub fn beside_tracking(i: usize) -> Self {
+        match i % 2 {
+            0 => Self::Youngest,
+            _ => Self::Shuffled,
+        }
+    }
+}
+
+/// What an iteration trains on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Picked {
+    /// Index of the view among those kept.
+    view: usize,
+    /// Its keyframe.
+    pub keyframe: KeyframeId,
+    /// Halvings of its image.
+    pub level: usize,
+}
+
+/// A map compared with a view.
+#[derive(Debug)]
+pub struct Compared {
+    /// Eq. 12.
+    pub loss: f32,
+    /// Its gradient.
+    pub gradients: Gradients<f32>,
+    /// Per Gaussian, in pixels; 0 where it was not rendered.
+    pub radii: Vec<i32>,
+}
+
+/// What training keeps of each Gaussian beside the map: a row per Gaussian it was trained with.
+#[derive(Debug, Clone, Copy)]
+pub struct TrainingState<'a> {
+    /// Moments of the parameters.
+    pub groups: &'a ParameterGroups<f32>,
+    /// Labels of the last runs (eq. 7).
+    pub windows: &'a [LabelWindow],
+    /// Σ |∂L/∂(NDC x, y)| since the last densification, ...
+    pub gradient: &'a [f32],
+    /// ... and the number of iterations that rendered it.
+    pub seen: &'a [u32],
 }
 
 /// The outcome of one iteration.
@@ -105,6 +121,23 @@ pub struct TrainingScene<'a> {
     pub window_runs: u32,
 }
 
+/// Extent of the camera's path: 1.1 times the largest distance of a keyframe from their mean, at
+/// least a metre.
+#[must_use]
+pub fn extent_m(camera_from_world: &[Se3]) -> f64 {
+    let centers: Vec<Vector3<f64>> = camera_from_world
+        .iter()
+        .map(|pose| pose.inverse().translation)
+        .collect();
+    let n = centers.len().max(1) as f64;
+    let mean = centers.iter().fold(Vector3::zeros(), |sum, c| sum + c / n);
+    let radius = centers
+        .iter()
+        .map(|c| (c - mean).norm())
+        .fold(0.0, f64::max);
+    (1.1 * radius).max(1.0)
+}
+
 /// [`DynamicWeight::BeliefAndAge`]: dynamic runs among the last n, over n.
 fn belief_and_age(windows: &[LabelWindow], n: u32) -> Vec<f32> {
     let share = |window: &LabelWindow| f64::from(window.dynamic_runs(n)) / f64::from(n);
@@ -117,7 +150,6 @@ impl Trainer {
     /// # Errors
     /// [`OptimError`] (none for the settings used here).
     pub fn new(camera: &Camera, seed: u64) -> Result<Self, OptimError> {
-        let group = |width: usize| Adam::new(AdamConfig::default(), 0, width);
         Ok(Self {
             camera: *camera,
             straight: Undistortion::new(camera),
@@ -125,13 +157,7 @@ impl Trainer {
             order: Vec::new(),
             rng: Rng::keyed(seed, &[0x7261_696e]),
             seed,
-            groups: Groups {
-                means: group(3)?,
-                log_scales: group(3)?,
-                quaternions: group(4)?,
-                opacity_logits: group(1)?,
-                sh: group(3)?,
-            },
+            groups: ParameterGroups::new(AdamConfig::default())?,
             windows: Vec::new(),
             densifier: Densifier::default(),
             iterations: 0,
@@ -202,7 +228,7 @@ impl Trainer {
     }
 
     /// Drops views until there are no more than `most`.
-    pub(super) fn thin_views(&mut self, most: usize, poses: &[Se3]) {
+    pub fn thin_views(&mut self, most: usize, poses: &[Se3]) {
         while self.views.len() > most {
             let views = self.views.iter().map(|v| poses[v.keyframe.index()]);
             let Some(gone) = least_needed(&views.collect::<Vec<_>>()) else {
@@ -228,6 +254,28 @@ impl Trainer {
         self.views.len()
     }
 
+    /// The keyframes of the views kept, oldest first.
+    pub fn view_keyframes(&self) -> impl Iterator<Item = KeyframeId> {
+        self.views.iter().map(|view| view.keyframe)
+    }
+
+    #[cfg(test)]
+    pub(super) fn view(&self, i: usize) -> &TrainingView {
+        &self.views[i]
+    }
+
+    /// What training keeps of each Gaussian.
+    #[must_use]
+    pub fn state(&self) -> TrainingState<'_> {
+        let (gradient, seen) = self.densifier.sums();
+        TrainingState {
+            groups: &self.groups,
+            windows: &self.windows,
+            gradient,
+            seen,
+        }
+    }
+
     /// One iteration; `None` without a view or a Gaussian. Without `densify` no Gaussian is cloned,
     /// split or pruned.
     ///
@@ -243,56 +291,111 @@ impl Trainer {
         par: Par,
         recorder: &mut Recorder,
     ) -> Result<Option<TrainStep>, TrainError> {
+        self.step_by(map, pick, scene, config, densify, |trainer, map, picked| {
+            trainer.compare(map, picked, scene, config, par, recorder)
+        })
+    }
+
+    /// [`Trainer::step`] with loss and gradient from anywhere: everything of an iteration but the renderer.
+    ///
+    /// Golden: `train_run/*`.
+    ///
+    /// # Errors
+    /// Those of `compare`; [`OptimError`] for a gradient that is not finite. The map is then as it was before the
+    /// iteration.
+    pub fn step_by(
+        &mut self,
+        map: &mut GaussianMap,
+        pick: Pick,
+        scene: TrainingScene<'_>,
+        config: &TrainConfig,
+        densify: Option<&DensifyConfig>,
+        compare: impl FnOnce(&Self, &GaussianMap, Picked) -> Result<Compared, TrainError>,
+    ) -> Result<Option<TrainStep>, TrainError> {
         if map.is_empty() {
             return Ok(None);
         }
-        let Some(v) = self.next_view(pick) else {
+        let Some(view) = self.next_view(pick) else {
             return Ok(None);
         };
         self.sync_optimiser(map, config)?;
-        let view = &mut self.views[v];
-        let keyframe = view.keyframe;
-        let level = view.next_level(config.uses_per_level);
-        let target = view.target(&self.camera, &self.straight, level, par);
-        let pose = scene.poses[keyframe.index()];
-        let options = RenderOptions {
-            include: Include::StaticOnly,
-            ..RenderOptions::default()
+        let picked = Picked {
+            view,
+            keyframe: self.views[view].keyframe,
+            level: self.views[view].next_level(config.uses_per_level),
         };
-        let camera = &target.camera;
-        let rendered = fast::render(map, camera, &pose, &options, par)?;
-        let weights = match config.dynamic_weight {
-            DynamicWeight::Uniform => None,
-            DynamicWeight::BeliefAndAge => Some(belief_and_age(&self.windows, scene.window_runs)),
-        };
-        let loss = training_loss(&rendered, &target, map, weights.as_deref(), config, par)?;
-        let upstream = &loss.upstream;
-        let mut gradients = fast::backward(map, camera, &pose, &options, &rendered, upstream, par)?;
-        if let Some(penalty) = loss.opacity_logits {
-            for (g, p) in gradients.opacity_logits.iter_mut().zip(penalty) {
-                *g += p;
-            }
-        }
-        recorder.record("train", |record| {
-            let target = (&target.color, target.depth.as_ref(), &target.excluded);
-            let rendered = (&rendered.color, &rendered.depth, &rendered.opacity);
-            record.training((keyframe.0, level), &pose, target, rendered, loss.value);
-        });
-        self.update(map, &gradients, scene.extent_m, config)?;
+        let Compared {
+            loss,
+            gradients,
+            radii,
+        } = compare(self, map, picked)?;
+        let rates = GroupRates::new(&config.rates, scene.extent_m);
+        (self.groups).step(map, &gradients, &rates, config.optimiser)?;
         self.iterations += 1;
         if let Some(densify) = densify {
-            self.densifier
-                .add(&gradients.means2d, &rendered.radii, camera);
+            let camera = self.camera.level(picked.level);
+            self.densifier.add(&gradients.means2d, &radii, &camera);
             if self.iterations.is_multiple_of(densify.every) {
                 self.densify_and_prune(map, scene.extent_m, densify);
             }
         }
         Ok(Some(TrainStep {
-            keyframe,
-            level,
-            loss: loss.value,
+            keyframe: picked.keyframe,
+            level: picked.level,
+            loss,
             gaussians: map.len(),
         }))
+    }
+
+    /// The map against the picked view.
+    fn compare(
+        &self,
+        map: &GaussianMap,
+        picked: Picked,
+        scene: TrainingScene<'_>,
+        config: &TrainConfig,
+        par: Par,
+        recorder: &mut Recorder,
+    ) -> Result<Compared, TrainError> {
+        let Picked {
+            view,
+            keyframe,
+            level,
+        } = picked;
+        let target = self.views[view].target(&self.camera, &self.straight, level, par);
+        let images = TargetImages {
+            color: &target.color,
+            depth: target.depth.as_ref(),
+            excluded: &target.excluded,
+        };
+        let weights = match config.dynamic_weight {
+            DynamicWeight::Uniform => None,
+            DynamicWeight::BeliefAndAge => Some(belief_and_age(&self.windows, scene.window_runs)),
+        };
+        let pose = &scene.poses[keyframe.index()];
+        let Iteration {
+            loss,
+            gradients,
+            rendered,
+        } = iterate(
+            Engine::FAST,
+            map,
+            (&target.camera, pose),
+            images,
+            weights.as_deref(),
+            config,
+            par,
+        )?;
+        recorder.record("train", |record| {
+            let target = (&target.color, target.depth.as_ref(), &target.excluded);
+            let rendered = (&rendered.color, &rendered.depth, &rendered.opacity);
+            record.training((keyframe.0, level), pose, target, rendered, loss);
+        });
+        Ok(Compared {
+            loss,
+            gradients,
+            radii: rendered.radii,
+        })
     }
 
     /// Prunes the static Gaussians that have faded.
@@ -338,18 +441,14 @@ impl Trainer {
             .checked_div(config.sh_every)
             .unwrap_or(config.sh_degree);
         map.raise_sh_degree(degree.min(config.sh_degree));
-        self.groups.sh.widen(3 * map.coefficients())?;
         self.extend(map.len());
-        Ok(())
+        self.groups.fit(map)
     }
 
     fn extend(&mut self, rows: usize) {
-        let new = rows.saturating_sub(self.groups.means.rows());
         self.windows
             .resize(rows.max(self.windows.len()), LabelWindow::default());
-        for group in self.groups.each_mut() {
-            group.extend(new);
-        }
+        self.groups.extend(rows);
     }
 
     /// Keeps these Gaussians, in the map and in the optimiser.
@@ -369,6 +468,8 @@ impl Trainer {
         map.retain(|i| keep[i]);
     }
 
+    /// The shuffled order is drawn by Fisher and Yates from the last place to the second, and taken from its end. A view
+    /// that is added has its turn in the next order.
     fn next_view(&mut self, pick: Pick) -> Option<usize> {
         if pick == Pick::Youngest {
             return self.views.len().checked_sub(1);
@@ -382,61 +483,7 @@ impl Trainer {
         }
         self.order.pop()
     }
-
-    /// One step of every group, or of none.
-    fn update(
-        &mut self,
-        map: &mut GaussianMap,
-        gradients: &Gradients<f32>,
-        extent_m: f64,
-        config: &TrainConfig,
-    ) -> Result<(), OptimError> {
-        let RateConfig {
-            mean,
-            log_scale,
-            quaternion,
-            opacity_logit,
-            sh,
-            sh_rest_divisor,
-        } = config.rates;
-        let groups = &mut self.groups;
-        let mut sh_rates = vec![sh / sh_rest_divisor; 3 * map.coefficients()];
-        sh_rates[..3].fill(sh);
-        let group = |parameters, gradient, adam, rates| Step {
-            parameters,
-            gradient,
-            adam,
-            rates,
-        };
-        let means = vec![mean * extent_m; 3];
-        #[rustfmt::skip]
-        let steps = [
-            group(map.means.as_flattened_mut(), gradients.means.as_flattened(),
-                  &mut groups.means, means),
-            group(map.log_scales.as_flattened_mut(), gradients.log_scales.as_flattened(),
-                  &mut groups.log_scales, vec![log_scale; 3]),
-            group(map.quaternions.as_flattened_mut(), gradients.quaternions.as_flattened(),
-                  &mut groups.quaternions, vec![quaternion; 4]),
-            group(&mut map.opacity_logits, &gradients.opacity_logits,
-                  &mut groups.opacity_logits, vec![opacity_logit]),
-            group(map.sh.as_flattened_mut(), gradients.sh.as_flattened(), &mut groups.sh, sh_rates),
-        ];
-        let bad = |step: &Step<'_>| step.gradient.iter().position(|g| !g.is_finite());
-        if let Some(index) = steps.iter().find_map(bad) {
-            return Err(OptimError::NotFinite {
-                what: "gradient",
-                index,
-            });
-        }
-        for step in steps {
-            match config.optimiser {
-                Optimiser::Adam => {
-                    step.adam
-                        .step_by_column(step.parameters, step.gradient, &step.rates)?;
-                }
-                Optimiser::Sgd => sgd(step.parameters, step.gradient, step.rates[0])?,
-            }
-        }
-        Ok(())
-    }
 }
+
+#[cfg(test)]
+mod tests;

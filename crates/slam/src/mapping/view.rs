@@ -270,6 +270,95 @@ mod tests {
         }
     }
 
+    /// The mask of the keyframe, and what two later ones show to be free space: their union.
+    #[test]
+    fn masks_add_up() {
+        use crate::dynamics::free_space::FreeSpace;
+        use crate::mask::MOVING;
+        use garad_core::FrameId;
+
+        let camera = Camera::pinhole((64, 48), [60.0, 60.0, 31.5, 23.5]).expect("valid");
+        let wall_with = |near: &[(usize, usize)]| {
+            let is_near = |x: usize| near.iter().any(|(from, to)| (*from..*to).contains(&x));
+            DepthImage::from_fn(64, 48, |x, _| if is_near(x) { 1.5 } else { 3.0 })
+        };
+        // Somebody on the left, who leaves first, and somebody on the right.
+        let (left, right) = ((8, 24), (40, 56));
+        let view_depth = ViewDepth::new(FrameId(0), &wall_with(&[left, right]), &camera, 8.0);
+        let config = LabelConfig {
+            dilate_px: 0,
+            ..LabelConfig::default()
+        };
+        for own_mask in [true, false] {
+            let own = MaskImage::from_fn(64, 48, |x, y| match x == 31 && y == 3 {
+                true => MOVING,
+                false => 0,
+            });
+            let rgb = RgbImage::new(64, 48, [90; 3]);
+            let own = own_mask.then_some(&own);
+            let view = TrainingView::new(KeyframeId(0), rgb, None, own, 0);
+            let mut view = view.with_view_depth(Some(view_depth.clone()));
+            let straight = Undistortion::new(&camera);
+            let mut after = |depth: DepthImage, frame: u32| {
+                let later = LaterView {
+                    frame: FrameId(frame),
+                    free_space: &FreeSpace::new(&depth, 8.0),
+                    camera_from_world: Se3::identity(),
+                };
+                view.mask_freed_space(&Se3::identity(), &later, &camera, &config);
+                let excluded = view.target(&camera, &straight, 0, Par::Seq).excluded;
+                [(31, 3), (16, 24), (48, 24), (2, 24)].map(|at| excluded[at] == MOVING)
+            };
+            let nobody = wall_with(&[left, right]);
+            assert_eq!(
+                after(nobody, 1),
+                [own_mask, false, false, false],
+                "both are there"
+            );
+            assert_eq!(
+                after(wall_with(&[right]), 2),
+                [own_mask, true, false, false],
+                "one left"
+            );
+            assert_eq!(
+                after(wall_with(&[left]), 3),
+                [own_mask, true, true, false],
+                "back, and the other left"
+            );
+            assert_eq!(
+                after(wall_with(&[]), 9),
+                [own_mask, true, true, false],
+                "for good"
+            );
+        }
+    }
+
+    /// At half size a pixel is excluded if any under its filter is; the border of a distorted image is.
+    #[test]
+    fn what_the_image_does_not_show_is_left_out() {
+        let mut camera = camera();
+        camera.distortion.k1 = 0.3;
+        let rgb = RgbImage::new(32, 24, [90; 3]);
+        let view = TrainingView::new(KeyframeId(0), rgb, None, None, 0);
+        let straight = Undistortion::new(&camera);
+        let target = view.target(&camera, &straight, 0, Par::Seq);
+        assert_eq!(target.excluded, straight.unseen());
+        assert_eq!(target.camera.distortion, Distortion::default(), "straight");
+        let mut mask = MaskImage::new(32, 24, 0);
+        mask[(16, 12)] = 255;
+        let rgb = RgbImage::new(32, 24, [90; 3]);
+        let view = TrainingView::new(KeyframeId(0), rgb, None, Some(&mask), 0);
+        let target = view.target(&camera, &straight, 0, Par::Seq);
+        let unseen = straight.unseen();
+        assert_ne!(unseen, MaskImage::new(32, 24, 0), "some pixels lie outside");
+        let differs = target.excluded.data().iter().zip(unseen.data());
+        assert_eq!(
+            differs.filter(|(a, b)| a != b).count(),
+            1,
+            "beside the mask"
+        );
+    }
+
     fn looking(x_m: f64, turn: f64) -> Se3 {
         let rotation = garad_core::So3::exp(&Vector3::new(0.0, turn, 0.0));
         Se3::new(rotation, Vector3::new(x_m, 0.0, 0.0)).inverse()
@@ -302,6 +391,28 @@ mod tests {
         // The youngest two of eight stay, near as they are.
         let young = at(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 6.01]);
         assert_eq!(least_needed(&young), Some(0), "first of the evenly spaced");
+        // The youngest quarter is that of the number of views, rounded down: of seven one.
+        let pair = |at_end: &[f64]| [&[0.0, 2.0, 4.0, 6.0, 8.0][..], at_end].concat();
+        assert_eq!(
+            least_needed(&at(&pair(&[9.0, 9.2]))),
+            Some(5),
+            "the sixth is old"
+        );
+        assert_eq!(
+            least_needed(&at(&pair(&[9.0, 20.0, 20.2]))),
+            Some(4),
+            "the seventh of eight is not"
+        );
+        // 0.4 rad apart at the same place are 2 · 2.5 sin 0.2 = 0.993 m.
+        for (step_m, expected) in [(0.48, 1), (0.51, 0)] {
+            let views = [
+                looking(0.0, 0.4),
+                looking(0.0, 0.0),
+                looking(step_m, 0.0),
+                looking(9.0, 0.0),
+            ];
+            assert_eq!(least_needed(&views), Some(expected), "2 x {step_m} m");
+        }
         assert_eq!(least_needed(&at(&[1.0])), None, "alone");
         assert_eq!(least_needed(&[]), None, "nothing");
     }

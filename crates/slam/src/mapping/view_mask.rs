@@ -191,6 +191,87 @@ mod tests {
         assert!(freed(&body_at(person), &wall(), 0.0).is_some(), "two");
     }
 
+    /// Block (bx, by) stands for pixel (8 bx + 4, 8 by + 4), in the camera's frame.
+    #[test]
+    fn a_block_is_its_middle_pixel() {
+        let camera = Camera::pinhole((20, 12), [20.0, 10.0, 9.5, 5.5]).expect("valid");
+        let depth = DepthImage::from_fn(20, 12, |x, y| match (x, y) {
+            (4, 4) => 2.0,
+            (12, 4) => 3.0,
+            (19, 4) => 3.001,
+            (4, 11) => f32::NAN,
+            (12, 11) => -1.0,
+            (19, 11) => 1.0,
+            _ => 0.5,
+        });
+        let of = |max_depth_m: f64| ViewDepth::new(FrameId(4), &depth, &camera, max_depth_m);
+        let view = of(3.0);
+        assert_eq!(view.p_cam.size(), (3, 2), "the last ones are cut off");
+        let near = |at: (usize, usize), expected: [f32; 3]| {
+            let p = view.p_cam[at];
+            let apart = p.iter().zip(expected).map(|(a, b)| (a - b).abs());
+            assert!(apart.fold(0.0, f32::max) < 1e-6, "{at:?}: {p:?}");
+        };
+        near((0, 0), [-0.55, -0.3, 2.0]);
+        near((1, 0), [0.375, -0.45, 3.0]);
+        near((2, 0), [0.0; 3]); // too far
+        near((0, 1), [0.0; 3]);
+        near((1, 1), [0.0; 3]);
+        near((2, 1), [0.475, 0.55, 1.0]);
+        assert!(of(3.1).p_cam[(2, 0)][2] > 3.0, "not too far");
+        assert_eq!([4, 9, 3].map(|frame| view.age(FrameId(frame))), [0, 5, 0]);
+    }
+
+    /// Free blocks of an image of 8 x 6; at 1.5 m before a wall at 3 m, 1.5 m / σ.
+    #[test]
+    fn five_free_blocks_of_nine_make_a_mask_in_the_middle() {
+        let freed_by = |near: &[(usize, usize)], suspect_sigmas: f64, dilate_px: usize| {
+            let depth = DepthImage::from_fn(SIZE.0, SIZE.1, |x, y| {
+                match near.contains(&(x / BLOCK_PX, y / BLOCK_PX)) {
+                    true => 1.5,
+                    false => 3.0,
+                }
+            });
+            let mut config = LabelConfig {
+                suspect_sigmas,
+                dilate_px,
+                ..LabelConfig::default()
+            };
+            (config.noise.per_m, config.noise.floor_m) = (0.0, 0.25);
+            let later = LaterView {
+                frame: FrameId(5),
+                free_space: &FreeSpace::new(&wall(), 8.0),
+                camera_from_world: Se3::identity(),
+            };
+            let view_depth = ViewDepth::new(FrameId(0), &depth, &camera(), 8.0);
+            let mask = view_depth.freed_space(&Se3::identity(), &later, &camera(), &config)?;
+            Some(mask.data().iter().filter(|m| **m == MOVING).count())
+        };
+        let middle = (3, 2);
+        let four = [middle, (2, 1), (3, 1), (4, 3)];
+        let five = [middle, (2, 1), (3, 1), (4, 3), (4, 2)];
+        let around = [(2, 1), (2, 3), (4, 1), (4, 3), (3, 1)];
+        assert_eq!(freed_by(&four, 5.0, 0), None, "four of nine");
+        assert_eq!(
+            freed_by(&five, 5.0, 0),
+            Some(64),
+            "five: the middle one alone"
+        );
+        assert_eq!(freed_by(&around, 5.0, 0), None, "the middle is not free");
+        assert_eq!(freed_by(&five, 5.0, 3), Some(14 * 14), "dilated");
+        assert_eq!(
+            freed_by(&five, 6.0, 0),
+            None,
+            "as many standard deviations, not more"
+        );
+        let corner = [(0, 0), (1, 0), (0, 1), (1, 1)];
+        assert_eq!(
+            freed_by(&corner, 5.0, 0),
+            None,
+            "four of four in the corner"
+        );
+    }
+
     /// The mask of a view grows with every later keyframe, up to `memory_frames`.
     #[test]
     fn a_view_is_masked_for_as_long_as_memory_frames() {

@@ -298,3 +298,248 @@ fn with_labels_of_the_map_off_the_field_labels_for_the_mask_alone() {
     let tags = labels(&without).into_iter().filter_map(|(tag, _)| tag);
     assert_eq!(tags.collect::<Vec<_>>(), [1], "0 is no node any more");
 }
+
+/// A wall at 2 m, seen at the keyframes 0 and 1, without labels; 8 x 6 samples.
+fn of_a_wall(k: u32, iterations: usize) -> MappingJob {
+    MappingJob {
+        rgb: RgbImage::from_fn(32, 24, |x, _| [if x % 2 == 0 { 200 } else { 20 }; 3]),
+        depth: DepthImage::new(32, 24, 2.0),
+        iterations,
+        ..without_depth(k, &[])
+    }
+}
+
+/// Everything is cloned whenever density control comes.
+fn all_are_cloned() -> Config {
+    let mut config = Config::default();
+    config.densify.every = 1;
+    config.densify.grad_threshold = 1e-30;
+    config.densify.split_extent = 1.0;
+    config.densify.min_opacity = 1e-3;
+    config.densify.young_keyframes = 0;
+    config
+}
+
+#[test]
+fn density_control_is_for_young_gaussians_beside_tracking() {
+    for (enabled, expected) in [(true, [48 * 4, 48 * 4]), (false, [48, 48])] {
+        let mut config = all_are_cloned();
+        config.densify.enabled = enabled;
+        let mut mapper = mapper(config);
+        let first = mapper.run(of_a_wall(0, 2), &mut Silent);
+        assert_eq!(
+            (first.gaussians, first.inserted),
+            (expected[0], 48),
+            "two iterations"
+        );
+        let second = mapper.run(of_a_wall(1, 3), &mut Silent);
+        assert_eq!(
+            (second.gaussians, second.inserted),
+            (expected[1], 0),
+            "none is young"
+        );
+    }
+}
+
+#[test]
+fn density_control_of_the_final_training_is_for_all_and_ends_half_way() {
+    for (iterations, expected) in [
+        (5, &[true, true, true, false, false][..]),
+        (4, &[true, true, false, false]),
+        (1, &[true]),
+    ] {
+        let mut mapper = mapper(all_are_cloned());
+        mapper.run(of_a_wall(0, 0), &mut Silent);
+        mapper.run(of_a_wall(1, 0), &mut Silent);
+        let mut counts = vec![48];
+        let poses = vec![Se3::identity(); 2];
+        let done = mapper.train_final(iterations, poses, &mut |step| counts.push(step.gaussians));
+        done.expect("trained");
+        let grows: Vec<_> = counts.windows(2).map(|pair| pair[1] > pair[0]).collect();
+        assert_eq!(grows, expected, "in the first half: {counts:?}");
+    }
+    // New ones have an opacity of 0.9.
+    for (min_opacity, left) in [(0.95, 0), (0.85, 48)] {
+        let mut config = all_are_cloned();
+        config.densify.enabled = false;
+        config.densify.min_opacity = min_opacity;
+        let mut mapper = mapper(config);
+        mapper.run(of_a_wall(0, 0), &mut Silent);
+        let done = mapper.train_final(0, vec![Se3::identity()], &mut |_| ());
+        done.expect("nothing to train");
+        assert_eq!(mapper.gaussians.len(), left, "pruned below {min_opacity}");
+    }
+}
+
+/// Counts the iterations.
+#[derive(Default)]
+struct Iterations(usize);
+
+impl Observer for Iterations {
+    fn begin(&mut self, stage: Stage) {
+        self.0 += usize::from(stage == Stage::Train);
+    }
+
+    fn end(&mut self, _: Stage) {}
+}
+
+#[test]
+fn a_job_has_its_number_of_iterations_and_one_view() {
+    for (iterations, has_loss) in [(0, false), (1, true), (5, true)] {
+        let mut mapper = mapper(Config::default());
+        let mut counted = Iterations::default();
+        let done = mapper.run(of_a_wall(0, iterations), &mut counted);
+        assert_eq!(counted.0, iterations, "as asked for");
+        assert_eq!((done.loss.is_some(), done.error), (has_loss, None));
+        assert_eq!(mapper.trainer.views(), 1, "of the keyframe");
+    }
+    let mut config = Config::default();
+    config.train.max_views = 2;
+    let mut thinned = mapper(config.clone());
+    (0..4).for_each(|k| drop(thinned.run(of_a_wall(k, 0), &mut Silent)));
+    assert_eq!(thinned.trainer.views(), 2, "at most two");
+    (config.train.per_keyframe, config.train.per_frame) = (0, 0);
+    let mut untrained = mapper(config);
+    untrained.run(of_a_wall(0, 0), &mut Silent);
+    assert_eq!(untrained.trainer.views(), 0, "nothing to train");
+}
+
+/// Somebody at the first keyframe, who has left at the second: at columns 8 to 23, half way to the wall. The mask has
+/// one pixel.
+#[test]
+fn a_view_excludes_the_mask_and_what_is_later_free() {
+    let [own, freed] = [(28, 2), (15, 12)];
+    for (what, expected) in [
+        ("default", [true, true, true]),
+        ("exclude_moving", [false, false, true]),
+        ("mask_freed_space", [true, false, true]),
+        ("mask is given", [true, false, true]),
+        ("later without cells", [true, false, true]),
+        ("lambda_depth", [true, true, false]),
+    ] {
+        let mut config = Config::default();
+        config.labels.dilate_px = 0;
+        config.train.exclude_moving = what != "exclude_moving";
+        config.labels.mask_freed_space = what != "mask_freed_space";
+        config.train.lambda_depth = if what == "lambda_depth" { 0.0 } else { 0.1 };
+        let mut mapper = mapper(config);
+        let cells = |job: MappingJob, there: bool| MappingJob {
+            cells: there.then(|| MaskImage::new(8, 6, 0)),
+            ..job
+        };
+        let mask = MaskImage::from_fn(32, 24, |x, y| if (x, y) == own { MOVING } else { 0 });
+        let first = MappingJob {
+            depth: DepthImage::from_fn(32, 24, |x, _| if (8..24).contains(&x) { 1.0 } else { 2.0 }),
+            mask: Some(mask),
+            ..of_a_wall(0, 0)
+        };
+        mapper.run(cells(first, what != "mask is given"), &mut Silent);
+        mapper.run(
+            cells(of_a_wall(1, 0), what != "later without cells"),
+            &mut Silent,
+        );
+        let camera = mapper.context.camera;
+        let straight = garad_core::undistort::Undistortion::new(&camera);
+        let target = mapper
+            .trainer
+            .view(0)
+            .target(&camera, &straight, 0, Par::Seq);
+        let excluded = [own, freed].map(|at| target.excluded[at] == MOVING);
+        assert_eq!(
+            [excluded[0], excluded[1], target.depth.is_some()],
+            expected,
+            "{what}"
+        );
+    }
+}
+
+/// Without a mask in cells a keyframe speaks of landmarks, and only where these decide.
+#[test]
+fn a_keyframe_without_cells_labels_by_landmarks_alone() {
+    use crate::dynamics::landmarks::LandmarkLabel;
+    for (tagged, cells, expected) in [
+        (TaggedLabels::Landmark, false, 1),
+        (TaggedLabels::Evidence, false, 0),
+        (TaggedLabels::Evidence, true, 1),
+    ] {
+        let mut config = Config::default();
+        config.labels.tagged = tagged;
+        let mut mapper = mapper(config);
+        let first = MappingJob {
+            new_landmarks: vec![landmark(0, 0)],
+            ..without_depth(0, &[0])
+        };
+        mapper.run(first, &mut Silent);
+        let id = LandmarkId(0);
+        let label = LandmarkLabel {
+            id,
+            label: Dynamic,
+            changed: true,
+        };
+        let second = MappingJob {
+            labels: vec![label],
+            living: vec![(id, Dynamic)],
+            cells: cells.then(|| MaskImage::new(8, 6, 0)),
+            ..without_depth(1, &[])
+        };
+        let done = mapper.run(second, &mut Silent);
+        let counts = (
+            done.relabelled.to_dynamic,
+            done.dynamic,
+            done.relabelled.to_static,
+        );
+        assert_eq!(counts, (expected, expected, 0), "{tagged:?}, {cells}");
+    }
+}
+
+/// What tracking is given beside labels.
+#[test]
+fn the_map_is_handed_back_as_tracking_asks_for_it() {
+    for (points, method, source) in [
+        (
+            PointSource::Landmarks,
+            TrackingMethod::Features,
+            LabelSource::Frames,
+        ),
+        (
+            PointSource::Gaussians,
+            TrackingMethod::Features,
+            LabelSource::Gaussians,
+        ),
+        (
+            PointSource::Landmarks,
+            TrackingMethod::Render,
+            LabelSource::Frames,
+        ),
+    ] {
+        let mut config = Config::default();
+        config.labels.source = source;
+        (config.tracking.points, config.tracking.method) = (points, method);
+        let mut mapper = mapper(config);
+        let job = MappingJob {
+            new_landmarks: vec![landmark(4, 0), landmark(7, 60)],
+            ..without_depth(0, &[4, 7])
+        };
+        let feedback = mapper.run(job, &mut Silent).feedback;
+        let positions: Vec<_> = feedback
+            .positions
+            .iter()
+            .map(|(id, p)| (id.0, p.x > 0.5))
+            .collect();
+        match points {
+            PointSource::Gaussians => assert_eq!(positions, [(4, false), (7, true)]),
+            _ => assert_eq!(positions, []),
+        }
+        let renders = method == TrackingMethod::Render;
+        assert_eq!(
+            feedback.map.is_some_and(|map| map.len() == 2),
+            renders,
+            "{method:?}"
+        );
+        assert_eq!(
+            feedback.dynamic.is_some(),
+            source.has_gaussians(),
+            "{source:?}"
+        );
+    }
+}
