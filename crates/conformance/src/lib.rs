@@ -17,12 +17,15 @@ mod field;
 mod geometry;
 mod judging;
 mod losses;
+mod mapping;
+mod moving;
 mod outputs;
 pub mod port;
 mod poses;
 mod raster;
 mod recordings;
 mod stages;
+mod tracking;
 mod training;
 mod two_views;
 

@@ -2,7 +2,7 @@
 
 use garad_core::{GaussianMap, Par, Real};
 use garad_golden::{InputError, Inputs};
-use garad_optim::{Adam, AdamConfig};
+use garad_optim::{Adam, AdamConfig, sgd};
 use garad_raster::losses::{depth_l1, opacity_penalty, photometric};
 use garad_raster::{
     Gradients, Include, RenderOptions, Upstream, knn_scales_m, rms_neighbour_distances_m,
@@ -72,6 +72,26 @@ pub(crate) fn adam<T: Real + Element>(inputs: &Inputs) -> Answer {
             all[i] = value;
         }
         path.extend(all);
+    }
+    let mut out = Outputs::default();
+    out.shaped("path", &[rates.len(), n], path)?;
+    Ok(out)
+}
+
+/// Every number after every step of plain gradient descent.
+pub(crate) fn plain_descent<T: Real + Element>(inputs: &Inputs) -> Answer {
+    let (mut values, rates) = (
+        reals::<T>(inputs, "start")?,
+        inputs.reals("learning_rates")?,
+    );
+    let (gradients, n) = (reals::<T>(inputs, "gradients")?, values.len());
+    if n == 0 || gradients.len() != n * rates.len() {
+        return Err("gradients, rates and start do not have matching sizes".into());
+    }
+    let mut path = Vec::new();
+    for (gradient, rate) in gradients.chunks_exact(n).zip(&rates) {
+        sgd(&mut values, gradient, *rate)?;
+        path.extend(&values);
     }
     let mut out = Outputs::default();
     out.shaped("path", &[rates.len(), n], path)?;
