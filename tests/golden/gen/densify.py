@@ -85,7 +85,7 @@ def make(name, seed, max_gaussians, why):
     assert split.any() and len(new) > 2 * split.sum()   # clones and children
     units = {"means": "m", "log_scales": "ln m", "quaternions": "w, x, y, z", "opacity_logits": "1", "sh": "1", "label": "1 dynamic", "born": "keyframe"}
     write_case(
-        "densify", name, basis="numpy, scipy Rotation", why=why, script="gen/densify.py", seed=seed, params=o,
+        "densify", name, basis="numpy, scipy Rotation", why=why, script="gen/densify.py", seed=seed, params=o, flags=["on-threshold"],
         inputs={key: (g[key], unit) for key, unit in units.items()} | {
             "gradients": (gradients, "1/px"), "radii": (radii.astype(np.int32), "px"), "width": (np.array(SIZES, np.int32)[:, 0], "px"),
             "height": (np.array(SIZES, np.int32)[:, 1], "px"), "normals": (normals, "1")},

@@ -25,12 +25,12 @@ from views import FreeSpace, Margin, camera, evidence, pose, room, to_world, unp
 NONE = np.nan
 
 
-def make(name, seed, c, depth, poses, ages, points, why, noise, max_depth, moving=None, margin=Margin()):
+def make(name, seed, c, depth, poses, ages, points, why, noise, max_depth, moving=None, margin=Margin(), flags=()):
     spaces = [FreeSpace(d.astype(float), max_depth, None if moving is None else moving[i]) for i, d in enumerate(depth)]
     found = np.array([[space.query(c, view, noise, p, margin) for p in points] for space, view in zip(spaces, poses)])
     both = np.array([evidence(c, list(zip(spaces, poses, ages)), noise, p, margin) for p in points])
     write_case(
-        "free_space", name, basis="numpy, scipy.ndimage, OpenCV", why=why, script="gen/free_space.py", seed=seed,
+        "free_space", name, basis="numpy, scipy.ndimage, OpenCV", why=why, script="gen/free_space.py", seed=seed, flags=flags,
         equations=["paper:2"],
         params=c | {"max_depth_m": max_depth, "noise_per_m": noise[0], "noise_floor_m": noise[1]},
         inputs=view_inputs(depth, poses, ages, moving) | {"points": (np.array(points), "m, world")},
@@ -92,7 +92,7 @@ def gates():
     points += [(4, 43, 4.5), (23.9, 44.2, 4.5), (24.1, 44.2, 4.5), (30, 23.2, 1e-3), (30, 23.2, -1e-3)]
     points = [to_world(unproject(c, *p), *view) for p in points]
     seen = make("gates", None, c, [depth], [view], [3], points, "both sides of every threshold, of the image's rim, and of a cell's",
-                noise, most, [moving])
+                noise, most, [moving], flags=["on-threshold"])
     assert set(seen.ravel()) == {0, 1, 2, 3, 4}
 
 
