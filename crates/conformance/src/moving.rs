@@ -14,7 +14,6 @@ use garad_slam::map::Map;
 use garad_slam::stages::{
     FreeSpace, FreeSpaceHistory, HistoryView, LandmarkLabel, Visibility, landmark_cues, relabel,
 };
-use nalgebra::Vector3;
 
 use crate::convert::{codes, has, known, labels, poses, rows, vectors};
 use crate::geometry::calibration;

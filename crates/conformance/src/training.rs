@@ -88,10 +88,10 @@ pub(crate) fn plain_descent<T: Real + Element>(inputs: &Inputs) -> Answer {
     if n == 0 || gradients.len() != n * rates.len() {
         return Err("gradients, rates and start do not have matching sizes".into());
     }
-    let mut path = Vec::new();
+    let mut path: Vec<T> = Vec::new();
     for (gradient, rate) in gradients.chunks_exact(n).zip(&rates) {
         sgd(&mut values, gradient, *rate)?;
-        path.extend(&values);
+        path.extend_from_slice(&values);
     }
     let mut out = Outputs::default();
     out.shaped("path", &[rates.len(), n], path)?;

@@ -67,14 +67,15 @@ def make(seed):
     rng, margin = np.random.default_rng(seed), Margin(1e-4)
     c = camera(62, 45, 55.5, 51.25, 30.2, 21.9)
     noise, most = (6e-3, 0.012), 8.0
-    # Keyframe 1 is 0.06 m beside keyframe 0: the baseline counts for landmarks nearer than 3 m. Keyframe 3 looks back.
-    poses = [pose([0, 0, 0], [0, 0, 0]), pose([0.01, -0.02, 0.015], [-0.06, 0, 0]),
+    # Keyframe 1 is 0.06 m ahead of keyframe 0: the baseline counts for landmarks nearer to that than 3 m. Keyframe 3 looks back.
+    poses = [pose([0, 0, 0], [0, 0, 0]), pose([0.01, -0.02, 0.015], [-0.02, 0.01, -0.056]),
              pose([-0.05, 0.12, 0.04], [-0.3, 0.12, 0.2]), pose([0.1, 2.9, 0.05], [0.2, -0.1, 0.5]), pose([0.1, -0.06, -0.2], [0.25, 0.1, -0.15])]
     seen_by = [[0, 1, 2, 4], [0, 1], [0, 1, 2], [1, 2, 4], [2], [0, 1, 2, 3, 4], [3], [], [2, 4], [0, 4]]
     points, rows = [], []
     for i in range(30):
-        z = [2.9, 3.1][i % 2] if i < 6 else rng.uniform(1.4, 6.0)
-        p = unproject(c, *rng.uniform([4, 4], [57, 40]), z)
+        p = unproject(c, *rng.uniform([4, 4], [57, 40]), rng.uniform(1.4, 6.0))
+        if i < 6:
+            p *= [0.99, 1.01][i % 2] * np.linalg.norm(poses[1][1]) / MIN_BASELINE / np.linalg.norm(p)
         points.append(to_world(p, *poses[0]))
         for key in seen_by[i % len(seen_by)]:
             r, t = poses[key]

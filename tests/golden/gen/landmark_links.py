@@ -60,7 +60,7 @@ def consistent(pairs, last, frame):
     bins = []
     for i, k in pairs:
         turn = (float(last["angle"][i]) - float(frame["angle"][k])) % 360 / 12
-        MARGIN(turn, np.round(turn))
+        Margin(1e-5)(turn, np.round(turn))  # angles are float32
         bins.append(int(turn) % 30)
         count[bins[-1]] += 1
     fullest = np.argsort(-count, kind="stable")[:3]
