@@ -10,7 +10,7 @@ use garad_slam::map::Map;
 use garad_slam::map::landmark::Appearance;
 use garad_slam::stages::{from_last_frame, from_local_map, needs_keyframe};
 
-use crate::convert::{known, poses, vectors};
+use crate::convert::{known, poses, rows, vectors};
 use crate::features::descriptors;
 use crate::geometry::calibration;
 use crate::outputs::{Answer, Error, Outputs};
@@ -28,7 +28,7 @@ fn links(inputs: &Inputs, name: &str) -> Result<Vec<Option<LandmarkId>>, Error> 
 fn frame(inputs: &Inputs, context: &Context, prefix: &str) -> Result<Frame, Error> {
     let named = |name: &str| format!("{prefix}_{name}");
     let (px, angle) = (
-        inputs.rows::<2>(&named("px"))?,
+        rows::<f32, 2>(inputs, &named("px"))?,
         inputs.singles(&named("angle"))?,
     );
     let (level, depth_m) = (
@@ -58,16 +58,16 @@ fn frame(inputs: &Inputs, context: &Context, prefix: &str) -> Result<Frame, Erro
     let camera = &context.camera;
     let size = (camera.width, camera.height);
     let mut mask = MaskImage::new(size.0, size.1, 0);
-    let pixel = |px: &[f64; 2]| {
-        let near = |v: f64, n: usize| (0..n).find(|i| (*i as f64 - v).abs() <= 0.5);
+    let pixel = |px: &[f32; 2]| {
+        let near = |v: f32, n: usize| (0..n).find(|i| (*i as f64 - f64::from(v)).abs() <= 0.5);
         near(px[0], size.0).zip(near(px[1], size.1))
     };
     for (px, _) in px.iter().zip(in_use).filter(|(_, used)| **used == 0) {
         mask[pixel(px).ok_or("a keypoint outside the image")?] = 255;
     }
     let keypoint = |i: usize| Keypoint {
-        x: px[i][0] as f32,
-        y: px[i][1] as f32,
+        x: px[i][0],
+        y: px[i][1],
         level: level[i],
         angle_deg: angle[i],
         response: 1.0,
