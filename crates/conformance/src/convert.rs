@@ -1,6 +1,6 @@
 //! Inputs of a case in the types of the stages.
 
-use garad_core::{GrayImage, Image, Label, Real, Se3, So3};
+use garad_core::{Camera, GrayImage, Image, Label, Real, Se3, So3};
 use garad_golden::{InputError, Inputs};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
@@ -46,6 +46,18 @@ pub(crate) fn gray(inputs: &Inputs, name: &str) -> Result<GrayImage, InputError>
 
 pub(crate) fn gray_if_there(inputs: &Inputs, name: &str) -> Result<Option<GrayImage>, InputError> {
     inputs.get(name).map(|_| gray(inputs, name)).transpose()
+}
+
+/// The image, if it has the camera's size.
+pub(crate) fn of_size<P>(
+    inputs: &Inputs,
+    name: &str,
+    image: Image<P>,
+    camera: &Camera,
+) -> Result<Image<P>, InputError> {
+    let fits = image.size() == (camera.width, camera.height);
+    let image = fits.then_some(image);
+    image.ok_or_else(|| inputs.shape_is_not(name, "an image of the camera's size"))
 }
 
 pub(crate) fn plane<T: Real>(inputs: &Inputs, name: &str) -> Result<Image<T>, InputError> {
@@ -102,6 +114,11 @@ pub(crate) fn poses(
 /// Row by row.
 pub(crate) fn matrix<const R: usize, const C: usize>(m: &SMatrix<f64, R, C>) -> [[f64; C]; R] {
     std::array::from_fn(|i| std::array::from_fn(|j| m[(i, j)]))
+}
+
+/// NaN stands for what is missing.
+pub(crate) fn known(value: f64) -> Option<f64> {
+    (!value.is_nan()).then_some(value)
 }
 
 /// Whether an input is there.

@@ -76,7 +76,7 @@ pub(crate) fn orb(inputs: &Inputs, par: Par) -> Answer {
     Ok(out)
 }
 
-fn descriptors(inputs: &Inputs, name: &str) -> Result<Vec<Descriptor>, InputError> {
+pub(crate) fn descriptors(inputs: &Inputs, name: &str) -> Result<Vec<Descriptor>, InputError> {
     let bytes = inputs.bytes(name)?.as_chunks::<32>().0.iter();
     Ok(bytes.map(Descriptor::from_bytes).collect())
 }

@@ -1,10 +1,11 @@
 //! Poses and cameras.
 
-use garad_core::{Camera, Distortion, Se3, So3};
-use garad_golden::Inputs;
+use garad_core::undistort::Undistortion;
+use garad_core::{Camera, Distortion, Par, RgbImage, Se3, So3};
+use garad_golden::{InputError, Inputs};
 use nalgebra::{Vector2, Vector3, Vector6};
 
-use crate::convert::{matrix, vectors};
+use crate::convert::{gray, matrix, of_size, plane, vectors};
 use crate::outputs::{Answer, Error, Outputs};
 
 pub(crate) fn se3(inputs: &Inputs) -> Answer {
@@ -56,7 +57,7 @@ pub(crate) fn se3(inputs: &Inputs) -> Answer {
     Ok(out)
 }
 
-fn calibration(inputs: &Inputs) -> Result<Camera, Error> {
+pub(crate) fn calibration(inputs: &Inputs) -> Result<Camera, Error> {
     let n = |name| inputs.number(name);
     let camera = Camera {
         width: inputs.count("width")?,
@@ -98,5 +99,25 @@ pub(crate) fn camera(inputs: &Inputs) -> Answer {
         "jacobian",
         points.iter().map(|p| matrix(&camera.project_jacobian(p))),
     );
+    Ok(out)
+}
+
+/// The colours of an image of bytes, of this camera's size.
+pub(crate) fn colors(inputs: &Inputs, camera: &Camera) -> Result<RgbImage, InputError> {
+    let pixels = inputs.bytes("rgb")?.as_chunks::<3>().0.to_vec();
+    let image = RgbImage::from_vec(camera.width, camera.height, pixels);
+    image.ok_or_else(|| inputs.shape_is_not("rgb", "the camera's image in three channels"))
+}
+
+pub(crate) fn undistort(inputs: &Inputs, par: Par) -> Answer {
+    let camera = calibration(inputs)?;
+    let straight = Undistortion::new(&camera);
+    let depth = of_size(inputs, "depth", plane::<f32>(inputs, "depth")?, &camera)?;
+    let mask = of_size(inputs, "mask", gray(inputs, "mask")?, &camera)?;
+    let mut out = Outputs::default();
+    out.image("color", &straight.color(&colors(inputs, &camera)?, par));
+    out.image("nearest_depth", &straight.nearest(&depth, 0.0));
+    out.image("nearest_mask", &straight.nearest(&mask, 255));
+    out.image("unseen", &straight.unseen());
     Ok(out)
 }

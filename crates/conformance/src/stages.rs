@@ -9,8 +9,8 @@ use garad_slam::mapping::iteration::Engine;
 
 use crate::outputs::{Answer, Error, Outputs};
 use crate::{
-    bundle, features, field, geometry, judging, losses, poses, raster, recordings, train_run,
-    training, two_views,
+    bundle, features, field, geometry, judging, losses, mapping, moving, poses, raster, recordings,
+    tracking, train_run, training, two_views,
 };
 
 /// In which numbers a stage computes.
@@ -66,6 +66,7 @@ pub const STAGES: &[(&str, &[Form])] = &[
     ("ply", &[Form::only(|i, _| recordings::ply(i))]),
     ("se3", &[Form::only(|i, _| geometry::se3(i))]),
     ("camera", &[Form::only(|i, _| geometry::camera(i))]),
+    ("undistort", &[Form::only(geometry::undistort)]),
     ("pyramid", &[Form::only(|i, _| features::pyramid(i))]),
     ("fast", &[Form::only(|i, _| features::fast(i))]),
     ("orb", &[Form::only(features::orb)]),
@@ -81,8 +82,12 @@ pub const STAGES: &[(&str, &[Form])] = &[
     ("place", &[Form::only(|i, _| features::place(i))]),
     ("pnp", &[Form::only(poses::pnp)]),
     ("pose_lm", &[Form::only(|i, _| poses::pose(i))]),
+    ("landmark_links", &[Form::only(|i, _| tracking::landmark_links(i))]),
+    ("keyframe", &[Form::only(|i, _| tracking::keyframe(i))]),
     ("bundle", &[Form::only(|i, _| bundle::bundle(i))]),
     ("pose_graph", &[Form::only(|i, _| bundle::pose_graph(i))]),
+    ("free_space", &[Form::only(|i, _| moving::free_space(i))]),
+    ("cues", &[Form::only(|i, _| moving::cues(i))]),
     ("unary", &[Form::only(|i, _| field::unary(i))]),
     ("kernel", &[Form::only(|i, _| field::kernels(i))]),
     ("mean_field", &[
@@ -91,6 +96,7 @@ pub const STAGES: &[(&str, &[Form])] = &[
         Form::f64("fast, tails cut", |i, par| field::mean_field(i, par, Method::Fast { tail: 1e-17 })),
     ]),
     ("label_window", &[Form::only(|i, _| field::window(i))]),
+    ("relabel", &[Form::only(|i, _| moving::relabelled(i))]),
     ("sh", &[
         Form::f64("f64", |i, _| raster::harmonics::<f64>(i)),
         Form::f32("f32", |i, _| raster::harmonics::<f32>(i)),
@@ -121,6 +127,12 @@ pub const STAGES: &[(&str, &[Form])] = &[
         Form::f64("f64", |i, _| training::adam::<f64>(i)),
         Form::f32("f32", |i, _| training::adam::<f32>(i)),
     ]),
+    ("sgd", &[
+        Form::f64("f64", |i, _| training::plain_descent::<f64>(i)),
+        Form::f32("f32", |i, _| training::plain_descent::<f32>(i)),
+    ]),
+    ("image_pyramid", &[Form::only(mapping::image_pyramid)]),
+    ("densify", &[Form::only(|i, _| mapping::density(i))]),
     ("train_step", &[
         Form::f64("reference in f64", |i, par| training::train_step(i, par, Engine::<f64>::REFERENCE)),
         Form::f32("reference in f32", |i, par| training::train_step(i, par, Engine::<f32>::REFERENCE)),

@@ -2,7 +2,7 @@
 
 use garad_core::{Par, Real};
 use garad_golden::{InputError, Inputs};
-use garad_optim::{Adam, AdamConfig};
+use garad_optim::{Adam, AdamConfig, sgd};
 use garad_raster::{knn_scales_m, rms_neighbour_distances_m};
 use garad_slam::config::{Optimiser, RateConfig, TrainConfig};
 use garad_slam::mapping::iteration::{Engine, Iteration, iterate};
@@ -73,6 +73,26 @@ pub(crate) fn adam<T: Real + Element>(inputs: &Inputs) -> Answer {
             all[i] = value;
         }
         path.extend(all);
+    }
+    let mut out = Outputs::default();
+    out.shaped("path", &[rates.len(), n], path)?;
+    Ok(out)
+}
+
+/// Every number after every step of plain gradient descent.
+pub(crate) fn plain_descent<T: Real + Element>(inputs: &Inputs) -> Answer {
+    let (mut values, rates) = (
+        reals::<T>(inputs, "start")?,
+        inputs.reals("learning_rates")?,
+    );
+    let (gradients, n) = (reals::<T>(inputs, "gradients")?, values.len());
+    if n == 0 || gradients.len() != n * rates.len() {
+        return Err("gradients, rates and start do not have matching sizes".into());
+    }
+    let mut path: Vec<T> = Vec::new();
+    for (gradient, rate) in gradients.chunks_exact(n).zip(&rates) {
+        sgd(&mut values, gradient, *rate)?;
+        path.extend_from_slice(&values);
     }
     let mut out = Outputs::default();
     out.shaped("path", &[rates.len(), n], path)?;

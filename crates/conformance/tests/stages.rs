@@ -56,6 +56,7 @@ stages! {
     fn ply();
     fn se3();
     fn camera();
+    fn undistort();
     fn pyramid();
     fn fast();
     fn orb();
@@ -68,12 +69,17 @@ stages! {
     fn place();
     fn pnp();
     fn pose_lm();
+    fn landmark_links();
+    fn keyframe();
     fn bundle();
     fn pose_graph();
+    fn free_space();
+    fn cues();
     fn unary();
     fn kernel();
     fn mean_field();
     fn label_window();
+    fn relabel();
     fn sh();
     fn projection_covariance();
     fn raster();
@@ -81,6 +87,9 @@ stages! {
     fn losses();
     fn knn_scale();
     fn adam();
+    fn sgd();
+    fn image_pyramid();
+    fn densify();
     fn train_step();
     fn train_run();
     fn trajectory();

@@ -87,6 +87,9 @@ pub const TABLE: &[Tolerance] = &[
     abs_rel("camera.jacobian", 1e-13, 1e-15, "a few products and one division"),
     abs_rel("camera.pixel", 2e-13, 1e-15, "a pixel is a difference of numbers of size 500, spacing 1.1e-13"),
     abs_rel("camera.undistorted", 1e-12, 0.0, "as pixels, through a Newton step"),
+    // undistort and image_pyramid: bytes over 255, in f32 by definition
+    abs_rel("undistort.color", 3e-7, 0.0, "measured 1.2e-7: two weights and three interpolations in f32, of numbers up to 1: five roundings of 6e-8"),
+    abs_rel("image_pyramid.color", 3e-7, 0.0, "measured 1.2e-7: as undistort.color, then two halvings, each sums of positive numbers"),
     // projection_covariance: the rest is raster's
     vector("projection.p_cam", 0.0, 2e-15, "three products and their sum"),
     // sh: the basis of degree 3 has terms of size 3 that cancel
@@ -144,6 +147,12 @@ pub const TABLE: &[Tolerance] = &[
     vector("losses.f32.gradient", 0.0, 2e-4, "as the value"),
     // adam
     abs_rel("adam.path", 1e-15, 1e-15, "measured 5e-16: forty steps of 1e-2, each rounded when subtracted"),
+    // densify: in f32 by definition
+    abs_rel("densify.gradient", 0.0, 3e-7, "measured 9.5e-8: a sum of up to ten lengths in f32"),
+    abs_rel("densify.means", 5e-7, 0.0, "m: measured 1.6e-7, exp in f32 of a deviation up to 1.5 m, and a sum of size 4"),
+    abs_rel("densify.log_scales", 7e-8, 0.0, "measured 2e-8: one difference in f32 of numbers up to 1"),
+    // sgd
+    abs_rel("sgd.path", 3e-15, 0.0, "measured 1e-15: forty steps of numbers up to 8, each rounded when subtracted"),
     // lk: positions in f32 from sums of integers
     abs_rel("lk.xy", 1e-4, 0.0, "an ulp of a coordinate is 3e-5 px; steps end at 1e-2 px in the same order of operations"),
     Tolerance { name: "lk.xy_opencv", class: Class::Banded { tight: 5e-4, share: 1e-2, hard: 1e-2 }, reason: "OpenCV adds its sums in f32 and lane by lane; a step of 0.01 px more or less" },
@@ -199,6 +208,11 @@ pub const TABLE: &[Tolerance] = &[
     // dataset
     abs_rel("dataset.rotation", 1e-15, 0.0, "entries of R, three products of unit quaternions against three of matrices"),
     abs_rel("dataset.translation", 2e-15, 0.0, "m: positions of size 3, spacing 4.4e-16, and a lever of 2 cm"),
+    // free_space and cues
+    abs_rel("free_space.sigmas", 5e-14, 1e-14, "measured 2e-14: a depth, good to 4e-16 m, over a sigma of 0.012 m and more"),
+    abs_rel("cues.reprojection", 1.5e-14, 0.0, "px: measured 4e-15, a mean of differences of pixels, as camera.pixel"),
+    abs_rel("cues.depth", 2e-14, 1e-14, "measured 5e-15: as free_space.sigmas; the spread is a difference of such numbers"),
+    abs_rel("cues.epipolar", 2e-14, 0.0, "px: measured 6e-15, a mean of distances, as epipolar.distance"),
     // unary, kernel, mean_field, label_window
     abs_rel("crf.unary", 0.0, 4e-15, "measured 1.6e-15: mean of four exponentials, each a few roundings of its exponent away"),
     abs_rel("crf.log_odds", 1e-13, 1e-14, "ln(1 - P) where 1 - P is 1e-3: a rounding of P counts a thousandfold"),

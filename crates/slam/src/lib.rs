@@ -26,6 +26,7 @@ pub mod observer;
 mod pipeline;
 mod results;
 pub mod session;
+pub mod stages;
 pub mod trace;
 pub mod tracking;
 pub mod trajectory;

@@ -80,6 +80,8 @@ def make(name, seed, intrinsics, axis_angle, t, pairs, wrong, noise_px, why):
 
 
 KINECT = (535.4, 539.2, 320.1, 247.6)
-make("handheld", 41, KINECT, [0.02, 0.08, -0.03], [0.25, -0.04, 0.06], 300, 90, 0.3, "a usual baseline, 30 % of the pairs wrong")
-make("forward", 42, KINECT, [0.0, 0.01, 0.0], [0.02, 0.0, -0.3], 150, 40, 0.3, "both epipoles inside the picture")
-make("half_wrong", 43, (517.3, 516.5, 318.6, 255.3), [-0.05, 0.02, 0.2], [-0.3, 0.1, 0.05], 200, 100, 0.2, "every other pair wrong, rolled camera")
+
+if __name__ == "__main__":
+    make("handheld", 41, KINECT, [0.02, 0.08, -0.03], [0.25, -0.04, 0.06], 300, 90, 0.3, "a usual baseline, 30 % of the pairs wrong")
+    make("forward", 42, KINECT, [0.0, 0.01, 0.0], [0.02, 0.0, -0.3], 150, 40, 0.3, "both epipoles inside the picture")
+    make("half_wrong", 43, (517.3, 516.5, 318.6, 255.3), [-0.05, 0.02, 0.2], [-0.3, 0.1, 0.05], 200, 100, 0.2, "every other pair wrong, rolled camera")

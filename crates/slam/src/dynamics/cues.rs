@@ -15,7 +15,8 @@ const MIN_BASELINE: f64 = 0.02;
 
 /// α: mean reprojection error; β: depth residual (`labels.depth_cue`); γ: number of observations; δ: mean epipolar
 /// distance to the first observation (the cues of eq. 2).
-pub(crate) fn landmark_cues(
+#[must_use]
+pub fn landmark_cues(
     context: &Context,
     map: &Map,
     landmark: &Landmark,

@@ -8,35 +8,41 @@ use super::free_space::{FreeSpace, Visibility};
 
 /// The free space of another time, and the pose it was seen from.
 #[derive(Debug)]
-pub(crate) struct HistoryView<'a> {
-    pub(crate) free_space: &'a FreeSpace,
-    pub(crate) camera_from_world: Se3,
+pub struct HistoryView<'a> {
+    /// What it saw to be empty.
+    pub free_space: &'a FreeSpace,
+    /// Its pose.
+    pub camera_from_world: Se3,
     /// Frames between then and now.
-    pub(crate) age_frames: u32,
+    pub age_frames: u32,
 }
 
 /// The free space of all views that a frame is compared with.
 #[derive(Debug)]
-pub(crate) struct FreeSpaceHistory<'a> {
-    pub(crate) camera: &'a Camera,
-    pub(crate) noise: &'a DepthNoise,
-    pub(crate) views: Vec<HistoryView<'a>>,
+pub struct FreeSpaceHistory<'a> {
+    /// Of all views.
+    pub camera: &'a Camera,
+    /// Of the depth camera.
+    pub noise: &'a DepthNoise,
+    /// The views, in any order.
+    pub views: Vec<HistoryView<'a>>,
 }
 
 /// What all views together say about a point.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct DepthEvidence {
+pub struct DepthEvidence {
     /// Distance in front of the surface seen there, in standard deviations of the sensor: the
     /// largest of all views, 0 if all that see the point have it on a static surface, `None` if no
     /// view sees it.
-    pub(crate) residual: Option<f64>,
+    pub residual: Option<f64>,
     /// Age of the oldest view that has the point on a static surface, frames.
-    pub(crate) agreed_frames: u32,
+    pub agreed_frames: u32,
 }
 
 impl FreeSpaceHistory<'_> {
     /// The evidence on a point: its depth cue, and how long it has been on a static surface.
-    pub(crate) fn query(&self, p_world: &Vector3<f64>) -> DepthEvidence {
+    #[must_use]
+    pub fn query(&self, p_world: &Vector3<f64>) -> DepthEvidence {
         let mut evidence = DepthEvidence::default();
         for view in &self.views {
             let so_far = evidence.residual.unwrap_or(0.0);

@@ -22,7 +22,7 @@ const BODY_DEPTH_M: f64 = 0.2;
 
 /// A depth image in cells of 4 x 4 pixels.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub(crate) struct FreeSpace {
+pub struct FreeSpace {
     /// Nearest and farthest depth in the 3 x 3 cells around, metres; 0 where there is none.
     near: Image<f32>,
     far: Image<f32>,
@@ -32,7 +32,7 @@ pub(crate) struct FreeSpace {
 
 /// A point as seen by a depth image.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Visibility {
+pub enum Visibility {
     /// Outside the image, or no depth there.
     Unknown,
     /// Behind the surface.
@@ -45,7 +45,8 @@ pub(crate) enum Visibility {
 
 impl FreeSpace {
     /// Depth in metres; 0, NaN and depths beyond `max_depth_m` are missing.
-    pub(crate) fn new(depth: &DepthImage, max_depth_m: f64) -> Self {
+    #[must_use]
+    pub fn new(depth: &DepthImage, max_depth_m: f64) -> Self {
         let (width, height) = depth.size();
         let (columns, rows) = (width.div_ceil(CELL_PX), height.div_ceil(CELL_PX));
         let mut near = Image::new(columns, rows, f32::INFINITY);
@@ -69,20 +70,22 @@ impl FreeSpace {
     }
 
     /// Sets the mask of what moves (255), in cells.
-    pub(crate) fn set_moving(&mut self, cells: MaskImage) {
+    pub fn set_moving(&mut self, cells: MaskImage) {
         self.moving = Some(cells);
     }
 
     /// Depth of the nearest surface around a point of the camera's frame; `None` outside the image and
     /// without depth.
-    pub(crate) fn nearest_m(&self, p_cam: &Vector3<f64>, camera: &Camera) -> Option<f64> {
+    #[must_use]
+    pub fn nearest_m(&self, p_cam: &Vector3<f64>, camera: &Camera) -> Option<f64> {
         let (x, y) = cell_of(p_cam, camera)?;
         let near = f64::from(*self.near.get(x, y)?);
         (near > 0.0).then_some(near)
     }
 
     /// The visibility of a point in this image, taken by `camera` from this pose.
-    pub(crate) fn query(
+    #[must_use]
+    pub fn query(
         &self,
         p_world: &Vector3<f64>,
         camera: &Camera,

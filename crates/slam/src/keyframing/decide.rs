@@ -13,7 +13,8 @@ use crate::map::Map;
 /// Whether a tracked frame becomes a keyframe; `most_inliers`: of any frame since the last one, this
 /// one included. Mapping counts as always ready: its schedule is fixed by frame numbers, so there is no
 /// queue to ask. Without features (tracking by rendering) it is one frame in `max_gap`.
-pub(crate) fn needs_keyframe(
+#[must_use]
+pub fn needs_keyframe(
     context: &Context,
     map: &Map,
     frame: &Frame,

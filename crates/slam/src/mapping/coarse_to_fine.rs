@@ -11,7 +11,8 @@ pub(crate) const TOP_LEVEL: usize = 2;
 /// tᵢ: argmin L(Iᵣⁱ, GPⁱ(I_gt)), i = n, ..., 1, 0
 ///
 /// The argmin of each level but the last is approximated by `per_level` iterations.
-pub(crate) fn level_of_iteration(uses: usize, per_level: usize) -> usize {
+#[must_use]
+pub fn level_of_iteration(uses: usize, per_level: usize) -> usize {
     let mut end = 0;
     for level in (1..=TOP_LEVEL).rev() {
         end += per_level;

@@ -12,7 +12,7 @@ use crate::config::DensifyConfig;
 
 /// Accumulated gradients at the splats' centres since the last densification.
 #[derive(Debug, Default, Serialize, Deserialize)]
-pub(crate) struct Densifier {
+pub struct Densifier {
     /// Σ |∂L/∂(NDC x, y)|.
     gradient: Vec<f32>,
     /// Iterations in which it was rendered.
@@ -22,7 +22,10 @@ pub(crate) struct Densifier {
 impl Densifier {
     /// Adds one iteration. A gradient per pixel becomes one per unit of normalised device
     /// coordinates, 2/W and 2/H of which are a pixel, so that all levels of the pyramid count alike.
-    pub(crate) fn add(&mut self, by_mean_px: &[[f32; 2]], radii: &[i32], camera: &Camera) {
+    ///
+    /// # Panics
+    /// Unless there is a radius for every gradient.
+    pub fn add(&mut self, by_mean_px: &[[f32; 2]], radii: &[i32], camera: &Camera) {
         self.gradient.resize(by_mean_px.len(), 0.0);
         self.seen.resize(by_mean_px.len(), 0);
         #[allow(clippy::cast_precision_loss, reason = "sizes of images")]
@@ -49,7 +52,8 @@ impl Densifier {
     }
 
     /// Mean gradient; 0 if it was not rendered.
-    fn mean(&self, i: usize) -> f64 {
+    #[must_use]
+    pub fn mean(&self, i: usize) -> f64 {
         match self.seen.get(i) {
             Some(&seen) if seen > 0 => f64::from(self.gradient[i]) / f64::from(seen),
             _ => 0.0,
@@ -75,6 +79,20 @@ pub(crate) fn densify(
     config: &DensifyConfig,
     rng: &mut Rng,
 ) -> Vec<bool> {
+    let normal = || rng.normal();
+    densify_with(map, accumulated, extent_m, young_from, config, normal)
+}
+
+/// Cloning and splitting with standard normal numbers given: three a child, along its parent's axes x, y, z. Golden:
+/// `densify/*`.
+pub fn densify_with(
+    map: &mut GaussianMap,
+    accumulated: &Densifier,
+    extent_m: f64,
+    young_from: KeyframeId,
+    config: &DensifyConfig,
+    mut normal: impl FnMut() -> f64,
+) -> Vec<bool> {
     let before = map.len();
     let large = config.split_extent * extent_m;
     let mut split = vec![false; before];
@@ -98,7 +116,7 @@ pub(crate) fn densify(
         split[i] = true;
         for _ in 0..CHILDREN {
             let child = map.push_copy(i);
-            let local = Vector3::from(sigma.map(|s| s * rng.normal()));
+            let local = Vector3::from(sigma.map(|s| s * normal()));
             let offset = rotation * local;
             for axis in 0..3 {
                 map.means[child][axis] += offset[axis].to_f32();
@@ -113,7 +131,8 @@ pub(crate) fn densify(
 const LARGE_EXTENT: f64 = 0.1;
 
 /// Marks the static Gaussians that are too large (`densify.prune_large`).
-pub(crate) fn too_large(map: &GaussianMap, extent_m: f64) -> Vec<bool> {
+#[must_use]
+pub fn too_large(map: &GaussianMap, extent_m: f64) -> Vec<bool> {
     let most = Real::ln(LARGE_EXTENT * extent_m).to_f32();
     let scales = map.log_scales.iter().zip(&map.label);
     scales
@@ -123,7 +142,8 @@ pub(crate) fn too_large(map: &GaussianMap, extent_m: f64) -> Vec<bool> {
 
 /// Marks the static Gaussians less opaque than `min_opacity`. Dynamic ones fade by the penalty of
 /// eq. 12 and are removed by eq. 7.
-pub(crate) fn faded(map: &GaussianMap, min_opacity: f64) -> Vec<bool> {
+#[must_use]
+pub fn faded(map: &GaussianMap, min_opacity: f64) -> Vec<bool> {
     let least = Real::ln(min_opacity / (1.0 - min_opacity)).to_f32();
     map.opacity_logits
         .iter()

@@ -29,7 +29,10 @@ pub struct Relabelled {
 
 /// Gives the Gaussians that landmarks or the keyframe's free space speak of a label, and adds it to
 /// their windows. The second result marks those that were dynamic for a whole window.
-pub(crate) fn relabel(
+///
+/// # Panics
+/// Unless there is a window for every Gaussian.
+pub fn relabel(
     map: &mut GaussianMap,
     windows: &mut [LabelWindow],
     labelled: &[LandmarkLabel],

@@ -30,13 +30,15 @@ pub struct TrainingView {
 
 /// A recorded image as a rendered one is compared with it.
 #[derive(Debug, Clone)]
-pub(crate) struct Target {
-    pub(crate) camera: Camera,
-    pub(crate) color: Image<[f32; 3]>,
+pub struct Target {
+    /// Of this level, without distortion.
+    pub camera: Camera,
+    /// In [0, 1].
+    pub color: Image<[f32; 3]>,
     /// Metres, 0 where it is not known.
-    pub(crate) depth: Option<DepthImage>,
+    pub depth: Option<DepthImage>,
     /// Not 0 where the loss is not evaluated: something moves, or no pixel was seen.
-    pub(crate) excluded: MaskImage,
+    pub excluded: MaskImage,
 }
 
 impl TrainingView {
@@ -116,7 +118,8 @@ impl TrainingView {
 impl Target {
     /// Undistorted, in [0, 1], halved `level` times (eq. 16). Depth is subsampled, not smoothed:
     /// the mean of two surfaces is on neither. `moving`: not 0 where something moves.
-    pub(crate) fn new(
+    #[must_use]
+    pub fn new(
         camera: &Camera,
         straight: &Undistortion,
         (rgb, depth, moving): (&RgbImage, Option<&DepthImage>, Option<&MaskImage>),

@@ -26,7 +26,7 @@ struct Best {
 ///
 /// The radius grows with the level of the keypoint in `last`. When the camera moves forward, image
 /// detail grows, so only the same or higher levels are searched; backward, the same or lower ones.
-pub(crate) fn from_last_frame(
+pub fn from_last_frame(
     context: &Context,
     map: &Map,
     last: &Frame,
@@ -79,7 +79,7 @@ pub(crate) fn from_last_frame(
 
 /// Links keypoints to landmarks of the local map that are not linked yet. `visible` holds those
 /// that should be seen, in order of their ids. Returns how many were found.
-pub(crate) fn from_local_map(
+pub fn from_local_map(
     context: &Context,
     map: &Map,
     visible: &[(LandmarkId, Appearance)],
