@@ -98,7 +98,7 @@ fn trajectory(args: &TrajectoryArgs) -> Result<()> {
             "protocol": options.describe(),
             "scale": scale,
             "ate": to_json(&judged.stats),
-            "rpe": relative.as_ref().ok().map(|r| serde_json::json!({
+            "rpe": relative.as_ref().ok().filter(|r| !r.is_of_another_body()).map(|r| serde_json::json!({
                 "interval_s": args.rpe_delta,
                 "trans_m": to_json(&r.trans_m),
                 "rot_deg": to_json(&r.rot_deg),
@@ -129,6 +129,9 @@ fn trajectory(args: &TrajectoryArgs) -> Result<()> {
     }
     say(&format!("ATE [m]    {}", row(&judged.stats)))?;
     match relative {
+        Ok(relative) if relative.is_of_another_body() => say(
+            "RPE        left out: the reference turns by the estimate's angles about other axes, so it is of another body",
+        )?,
         Ok(relative) => {
             let per = format!("per {} s", args.rpe_delta);
             say(&format!("RPE [m]    {}  {per}", row(&relative.trans_m)))?;

@@ -35,10 +35,12 @@ impl Truth {
     }
 }
 
+/// Why there is no RPE.
+const ANOTHER_BODY: &str = "no RPE: the ground truth turns by the camera's angles about other axes, so it is of another body on the sensor, such as a marker";
 /// Best scale of the path beyond which units are wrong, not the estimate.
 const SCALE_IN_DOUBT: f64 = 1.2;
 /// A scale explains an error if it leaves no more than this part of it.
-const EXPLAINED: f64 = 0.5;
+const EXPLAINED: f64 = 0.3;
 
 /// A word on the scale of a path: `Some` where a similarity fits the truth far better than a rigid motion, with a
 /// scale beyond [`SCALE_IN_DOUBT`].
@@ -55,7 +57,7 @@ fn scale_in_doubt(rigid: &Ate, truth: &[StampedPose], path: &[StampedPose]) -> O
     };
     let explained = scaled.stats.rmse < EXPLAINED * rigid.stats.rmse;
     (explained && factor > SCALE_IN_DOUBT).then(|| {
-        format!("the path is {factor:.1} times {what} than the truth: is depth_factor right?")
+        format!("the path is {factor:.1} times {what} than the truth: is depth_factor right (or the focal length)?")
     })
 }
 
@@ -113,8 +115,10 @@ impl Judged {
             metrics.ate = ate.into();
         }
         if let Some(truth) = truth.map(Truth::camera_poses) {
-            if let Ok(rpe) = rpe(truth, path, &RpeOptions::default()) {
-                metrics.rpe = (&rpe).into();
+            match rpe(truth, path, &RpeOptions::default()) {
+                Ok(rpe) if rpe.is_of_another_body() => warnings.push(ANOTHER_BODY.to_owned()),
+                Ok(rpe) => metrics.rpe = (&rpe).into(),
+                Err(_) => {} // shorter than a second
             }
             if let Ok(jitter) = jitter(truth, path, MAX_DT_S) {
                 metrics.jitter = (&jitter).into();

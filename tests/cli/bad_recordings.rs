@@ -52,13 +52,13 @@ fn bad_lists_are_reported() {
             "rgb.txt",
             "rgb/0.066667",
             "../rgb/0.066667",
-            &["rgb.txt", "../rgb/0.066667.png", "refused"],
+            &["rgb.txt:4", "../rgb/0.066667.png", "a relative path"],
         ),
         (
             "depth.txt",
             "depth/0.1",
             "/depth/0.1",
-            &["depth.txt", "refused"],
+            &["depth.txt:", "a relative path"],
         ),
     ];
     for (file, from, to, words) in cases {

@@ -19,6 +19,8 @@ const POSSIBLE_FOV_DEG: [f64; 2] = [1.0, 170.0];
 const PIXEL_RATIO: f64 = 1.25;
 /// Part of the picture without an inverse distortion, beyond which the model is useless.
 const FOLDED: f64 = 0.25;
+/// No lens moves a pixel this far towards the principal point, in diagonals of the image.
+const PULLED_IN: f64 = 0.1;
 /// No RGB-D sensor has nearly all of its range below this, metres.
 const NEAR_M: f64 = 1.1;
 /// Nearly all, and nearly none.
@@ -171,22 +173,50 @@ fn camera_warnings(calibration: &Calibration) -> Result<Vec<String>, DatasetErro
             "{place}, and those pixels are not used: are k1 k2 p1 p2 k3 in this order?"
         ));
     }
+    let pulled_in = largest_pull(camera);
+    if pulled_in > PULLED_IN {
+        warnings.push(format!(
+            "the distortion moves pixels inwards by up to {:.0} % of the image's diagonal: are k1 k2 p1 p2 k3 in this order, and of this lens?",
+            1e2 * pulled_in
+        ));
+    }
     Ok(warnings
         .into_iter()
         .map(|what| format!("camera from {}: {what}", calibration.source))
         .collect())
 }
 
-/// Part of the image, on a grid that reaches its corners, where the distortion has no inverse.
-fn folded_share(camera: &Camera) -> f64 {
+/// Pixels of a grid that reaches the corners.
+fn grid(camera: &Camera) -> Vec<Vector2<f64>> {
     const STEPS: usize = 16;
     let at = |i: usize, size: usize| (i * (size - 1)) as f64 / STEPS as f64;
-    let grid = (0..=STEPS).flat_map(|j| (0..=STEPS).map(move |i| (i, j)));
-    let folds = |(i, j): &(usize, usize)| {
-        let pixel = Vector2::new(at(*i, camera.width), at(*j, camera.height));
-        camera.undistort_pixel(&pixel).is_none()
+    let cells = (0..=STEPS).flat_map(|j| (0..=STEPS).map(move |i| (i, j)));
+    cells
+        .map(|(i, j)| Vector2::new(at(i, camera.width), at(j, camera.height)))
+        .collect()
+}
+
+/// Part of the image where the distortion has no inverse.
+fn folded_share(camera: &Camera) -> f64 {
+    let grid = grid(camera);
+    let folded = grid
+        .iter()
+        .filter(|uv| camera.undistort_pixel(uv).is_none());
+    folded.count() as f64 / grid.len() as f64
+}
+
+/// How much nearer to the principal point a pixel comes when it is undistorted, at most; in diagonals of the image.
+fn largest_pull(camera: &Camera) -> f64 {
+    let centre = Vector2::new(camera.cx, camera.cy);
+    let diagonal = (camera.width as f64).hypot(camera.height as f64);
+    let pull = |uv: Vector2<f64>| {
+        let ideal = camera.undistort_pixel(&uv)?;
+        Some(((uv - centre).norm() - (ideal - centre).norm()) / diagonal)
     };
-    grid.filter(folds).count() as f64 / ((STEPS + 1) * (STEPS + 1)) as f64
+    grid(camera)
+        .into_iter()
+        .filter_map(pull)
+        .fold(0.0, f64::max)
 }
 
 /// Range and byte order of the depth.
@@ -315,6 +345,9 @@ mod tests {
             words.contains("error") && words.contains("folds"),
             "{words}"
         );
+        // r (1 + 50 r² - ...) is steep: the corners at 0.79 come from 0.26, 139 px of 400 further in.
+        let words = said([50.0, -95.0, 0.0, 0.0, 116.0]);
+        assert!(words.contains("inwards by up to 3"), "{words}");
         // r (1 - 0.25 r²) turns back at 1.155, where it is 0.770; one corner is at 0.791.
         let words = said([-0.25, 0.0, 0.0, 0.0, 0.0]);
         assert!(

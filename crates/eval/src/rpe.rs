@@ -43,8 +43,28 @@ pub struct Rpe {
     pub trans_m: Stats,
     /// Rotation angle, degrees per step.
     pub rot_deg: Stats,
+    /// Difference of the angles of the true and the estimated rotation, degrees per step. It is at most `rot_deg`, and
+    /// does not depend on which body of a rig the poses are of.
+    pub angle_deg: Stats,
     /// Start time of each step, its translation (m) and rotation error (degrees).
     pub steps: Vec<(f64, f64, f64)>,
+}
+
+/// Rotation errors below this are not asked for their axis, degrees.
+const AXES_FROM_DEG: f64 = 1.0;
+/// Two bodies of one rig turn by the same angle about other axes: beside the error of the rotations, that of their
+/// angles is below this.
+const SAME_ANGLE: f64 = 0.2;
+
+impl Rpe {
+    /// Whether the ground truth is of another body than the estimate: a marker on the sensor, say, with axes of its own.
+    /// With X the fixed motion between the two, a true relative motion M is X⁻¹ M X of the other: the angle of its
+    /// rotation is the same, its axis is not. Then the relative error says nothing of the estimate.
+    #[must_use]
+    pub fn is_of_another_body(&self) -> bool {
+        let rotation_deg = self.rot_deg.rmse;
+        rotation_deg > AXES_FROM_DEG && self.angle_deg.rmse < SAME_ANGLE * rotation_deg
+    }
 }
 
 /// Relative pose error. With Q the true and P the estimated `world_from_camera`,
@@ -94,11 +114,9 @@ pub fn rpe(
         let found = motion(&estimate[est_a], &estimate[est_b]);
         let e = truth.inverse() * found;
         let start_s = estimate[est_a.min(est_b)].t_s;
-        (
-            start_s,
-            e.translation.norm(),
-            e.rotation.log().norm().to_degrees(),
-        )
+        let angle = |motion: &Se3| motion.rotation.log().norm().to_degrees();
+        let step = (start_s, e.translation.norm(), angle(&e));
+        (step, (angle(&truth) - angle(&found)).abs())
     };
     if pairs.is_empty() {
         return Err(EvalError::TooFew {
@@ -107,11 +125,12 @@ pub fn rpe(
             needed: 1,
         });
     }
-    let steps: Vec<_> = pairs.iter().map(error).collect();
+    let (steps, angles): (Vec<_>, Vec<f64>) = pairs.iter().map(error).unzip();
     let column = |f: fn(&(f64, f64, f64)) -> f64| steps.iter().map(f).collect::<Vec<_>>();
     Ok(Rpe {
         trans_m: Stats::of(&column(|step| step.1))?,
         rot_deg: Stats::of(&column(|step| step.2))?,
+        angle_deg: Stats::of(&angles)?,
         steps,
     })
 }
@@ -280,6 +299,54 @@ mod tests {
             run(&estimate, 0.5, 0.04).expect("steps").trans_m.pairs,
             24,
             "40 ms"
+        );
+    }
+
+    /// A hand-held camera and a marker on it with other axes, 10 cm away; drift and noise of a camera are no other body.
+    #[test]
+    fn a_marker_on_the_sensor_is_another_body() {
+        let camera: Vec<StampedPose> = (0..60u32)
+            .map(|i| {
+                let t_s = f64::from(i) * 0.1;
+                let swing = |f: f64, a: f64| a * garad_core::Real::sin(f * t_s);
+                let turn = Vector3::new(swing(2.0, 0.3), swing(1.3, 0.2), swing(0.7, 0.4));
+                let at = Vector3::new(swing(0.9, 0.5), 0.2 * t_s, swing(1.1, 0.1));
+                StampedPose {
+                    t_s,
+                    world_from_camera: Se3::new(So3::exp(&turn), at),
+                }
+            })
+            .collect();
+        let moved = |motion: &dyn Fn(usize) -> Se3| -> Vec<StampedPose> {
+            let poses = camera.iter().enumerate();
+            poses
+                .map(|(i, pose)| StampedPose {
+                    t_s: pose.t_s,
+                    world_from_camera: pose.world_from_camera * motion(i),
+                })
+                .collect()
+        };
+        let judged =
+            |truth: &[StampedPose]| rpe(truth, &camera, &RpeOptions::default()).expect("steps");
+        let axes = Vector3::new(1.2, -0.4, 0.9);
+        let marker = judged(&moved(&|_| {
+            Se3::new(So3::exp(&axes), Vector3::new(0.1, 0.0, 0.05))
+        }));
+        assert!(
+            marker.rot_deg.rmse > 5.0 && marker.angle_deg.rmse < 1e-6,
+            "{marker:?}"
+        );
+        assert!(marker.is_of_another_body(), "a marker");
+        let same = judged(&camera);
+        assert!(!same.is_of_another_body(), "the camera itself");
+        let drift = judged(&moved(&|i| {
+            let turn = Vector3::new(0.02, -0.03, 0.01) * i as f64;
+            Se3::new(So3::exp(&turn), Vector3::zeros())
+        }));
+        assert!(drift.rot_deg.rmse > 5.0, "{drift:?}");
+        assert!(
+            !drift.is_of_another_body(),
+            "a camera that drifts: {drift:?}"
         );
     }
 }
