@@ -1,0 +1,69 @@
+//! The state of a session. The checksum of every section is made right first: what is decoded is as hostile
+//! as the input. What was loaded is the same when saved and loaded again.
+
+#![no_main]
+
+use garad::core::Par;
+use garad::run::{Run, RunOptions};
+use garad::slam::Slam;
+use garad_fuzz::{check_chain, check_message, within_mib};
+use libfuzzer_sys::fuzz_target;
+
+/// Magic and format.
+const HEADER: usize = 18;
+/// Heap of a session of the seeds' size, in the largest image allowed.
+const MIB: usize = 512;
+
+/// The input with the checksum of each section that is whole made right.
+fn with_checksums(data: &[u8]) -> Vec<u8> {
+    let mut session = data.to_vec();
+    let mut at = HEADER;
+    while let Some(length_of_name) = session.get(at) {
+        let name = at + 1..at + 1 + usize::from(*length_of_name);
+        let (length, sum) = (name.end..name.end + 8, name.end + 8..name.end + 12);
+        let Some(bytes) = session.get(length) else {
+            break;
+        };
+        let length = u64::from_le_bytes(bytes.try_into().expect("eight bytes"));
+        let end = usize::try_from(length).ok().and_then(|n| n.checked_add(sum.end));
+        let Some(end) = end.filter(|end| *end <= session.len()) else {
+            break;
+        };
+        let mut hasher = crc32fast::Hasher::new();
+        hasher.update(&session[name]);
+        hasher.update(&session[sum.end..end]);
+        session[sum].copy_from_slice(&hasher.finalize().to_le_bytes());
+        at = end;
+    }
+    session
+}
+
+fn saved(slam: &mut Slam) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    slam.save(&mut bytes).expect("a state that was read");
+    bytes
+}
+
+fuzz_target!(|data: &[u8]| {
+    let session = with_checksums(data);
+    let read = |mut bytes: &[u8]| within_mib(MIB, || Slam::load(&mut bytes, Par::Seq));
+    let mut slam = match read(&session) {
+        Ok(slam) => slam,
+        Err(error) => return check_message(&error.to_string(), ""),
+    };
+    let first = saved(&mut slam);
+    let mut again = read(&first).expect("what was written");
+    assert!(saved(&mut again) == first, "round trip");
+
+    let options = RunOptions {
+        config: slam.config().clone(),
+        threads: 1,
+        seed: slam.seed(),
+        strict: false,
+        quiet: true,
+    };
+    let run = within_mib(MIB, || Run::resume(&mut &session[..], slam.camera(), &options));
+    if let Err(error) = run {
+        check_chain(&error, "");
+    }
+});
