@@ -59,7 +59,8 @@ fn overridden(below: &Config, layer: &Layer) -> Result<Config> {
         // Invalid: only parsing the text itself tells the line.
         None => toml::from_str(text).map_err(|error: toml::de::Error| {
             let line = line_of(text, error.span().map_or(0, |span| span.start));
-            anyhow!("{name}:{line}: {}", error.message())
+            // A message may quote a key or a value that spans lines.
+            anyhow!("{name}:{line}: {}", error.message().replace('\n', " "))
         }),
     }
 }
@@ -231,6 +232,8 @@ mod tests {
             ("[insertion]\n\nopacity = true\n", 3),
             ("[insertion\n", 1),
             ("[insertion]\nopacity =", 2),
+            ("\"un\\nknown\" = 1", 1),
+            ("[loops]\n\nlinear_solver = \"fear\\nless\"", 3),
         ] {
             let message = format!("{:#}", parse(text).expect_err(text));
             assert!(

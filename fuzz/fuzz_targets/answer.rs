@@ -2,11 +2,10 @@
 
 #![no_main]
 
-use garad::golden::Case;
-use garad::golden::answers::read_answers;
-use garad::golden::explain::explain;
-use garad::golden::judge::judge;
-use garad_fuzz::{check_message, folder_of, within_mib};
+use garad_golden::Case;
+use garad_golden::answers::read_answers;
+use garad_golden::judge::judge;
+use garad_fuzz::{folder_of, within_mib};
 use libfuzzer_sys::fuzz_target;
 
 /// Outputs of each kind of number, inline.
@@ -28,8 +27,6 @@ fuzz_target!(|data: &[u8]| {
     within_mib(32, || {
         let answers = read_answers(&case, folder.path());
         let verdict = judge(&case, &answers, true);
-        for output in &verdict.outputs {
-            check_message(output.note.as_deref().unwrap_or_default(), "");
-        }
+        assert_eq!(verdict.outputs.len(), 3, "a verdict on each");
     });
 });

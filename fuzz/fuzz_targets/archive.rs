@@ -8,7 +8,7 @@ use std::path::Path;
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
-use garad::dataset::{Dataset, Frame, MASK_FOLDER};
+use garad_dataset::{Dataset, Frame, MASK_FOLDER};
 use garad_fuzz::{check_error, folder, open, within_mib, write};
 use libfuzzer_sys::fuzz_target;
 

@@ -5,7 +5,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use garad::dataset::{Calibration, limits};
+use garad_dataset::{Calibration, limits};
 use garad_fuzz::{check_error, within_mib};
 use libfuzzer_sys::fuzz_target;
 

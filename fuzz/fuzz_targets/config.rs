@@ -3,7 +3,7 @@
 #![no_main]
 
 use garad::config_file::{Layer, layered, write};
-use garad_fuzz::{check_chain, within_mib};
+use garad_fuzz::{check_line, within_mib};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|text: &str| {
@@ -13,7 +13,7 @@ fuzz_target!(|text: &str| {
     };
     let config = match read(text) {
         Ok(config) => config,
-        Err(error) => return check_chain(&error, "config.toml:"),
+        Err(error) => return check_line(&format!("{error:#}"), "config.toml:"),
     };
     let again = read(&write(&config).expect("TOML")).expect("what was written");
     assert_eq!(again, config, "round trip");

@@ -3,14 +3,35 @@
 
 #![no_main]
 
-use garad::core::{DepthImage, MaskImage, RgbImage};
-use garad::images::{png, png_gray, png_gray16};
-use garad::dataset::{MASK_FOLDER, limits};
+use garad_core::{DepthImage, MaskImage, RgbImage};
+use garad_dataset::{MASK_FOLDER, limits};
 use garad_fuzz::{CAMERA, check_error, folder_of, open, within_mib};
+use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use libfuzzer_sys::fuzz_target;
 
 /// Two decoded copies of the largest image, and what its decoder needs.
 const MIB: usize = 4 * (limits::IMAGE_DECODED_BYTES >> 20) as usize;
+
+fn png(size: (usize, usize), bytes: &[u8], color: ExtendedColorType) -> Vec<u8> {
+    let mut out = Vec::new();
+    let (width, height) = (size.0 as u32, size.1 as u32);
+    let encoder = PngEncoder::new(&mut out);
+    encoder.write_image(bytes, width, height, color).expect("an image with pixels");
+    out
+}
+
+fn png_colour(image: &RgbImage) -> Vec<u8> {
+    png(image.size(), image.data().as_flattened(), ExtendedColorType::Rgb8)
+}
+
+fn png_depth(size: (usize, usize), raw: impl Iterator<Item = u16>) -> Vec<u8> {
+    let bytes: Vec<u8> = raw.flat_map(u16::to_ne_bytes).collect();
+    png(size, &bytes, ExtendedColorType::L16)
+}
+
+fn png_mask(image: &MaskImage) -> Vec<u8> {
+    png(image.size(), image.data(), ExtendedColorType::L8)
+}
 
 /// The colour, depth and mask of the one frame of a recording, and whether each could be decoded.
 fn read(colour: &[u8], depth: &[u8], mask: &[u8]) -> (Option<(RgbImage, DepthImage)>, Option<MaskImage>) {
@@ -38,24 +59,24 @@ fn read(colour: &[u8], depth: &[u8], mask: &[u8]) -> (Option<(RgbImage, DepthIma
 }
 
 fuzz_target!(|data: &[u8]| {
-    let colour = png(&RgbImage::new(8, 6, [1, 2, 3])).expect("pixels");
-    let raw = |value| garad::core::Image::<u16>::new(8, 6, value);
-    let depth = png_gray16(&raw(5000)).expect("pixels");
+    let colour = png_colour(&RgbImage::new(8, 6, [1, 2, 3]));
+    let depth = png_depth((8, 6), (0..48).map(|i| 100 * i));
 
     if let (Some((rgb, _)), _) = read(data, &depth, data) {
-        let again = read(&png(&rgb).expect("pixels"), &depth, data);
+        let again = read(&png_colour(&rgb), &depth, data);
         assert_eq!(again.0.map(|frame| frame.0), Some(rgb), "colour");
     }
     let (frame, mask) = read(&colour, data, data);
     if let Some((_, metres)) = frame {
-        assert!(metres.data().iter().all(|z| (0.0..=65535.0 / 5000.0).contains(z)), "{metres:?}");
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "at most 65535")]
-        let raw = metres.map(|z| (f64::from(*z) * 5000.0).round() as u16);
-        let again = read(&colour, &png_gray16(&raw).expect("pixels"), data);
+        let range = 0.0..=65535.0 / 5000.0;
+        assert!(metres.data().iter().all(|z| range.contains(z)), "{metres:?}");
+        // At most 65535.
+        let raw = metres.data().iter().map(|z| (f64::from(*z) * 5000.0).round() as u16);
+        let again = read(&colour, &png_depth(metres.size(), raw), data);
         assert_eq!(again.0.map(|frame| frame.1), Some(metres), "depth");
     }
     if let Some(mask) = mask {
-        let again = read(&colour, &depth, &png_gray(&mask).expect("pixels"));
+        let again = read(&colour, &depth, &png_mask(&mask));
         assert_eq!(again.1, Some(mask), "mask");
     }
 });

@@ -2,14 +2,14 @@
 
 #![no_main]
 
-use garad::golden::npy::{decode, encode};
-use garad_fuzz::{check_message, within_mib};
+use garad_golden::npy::{decode, encode};
+use garad_fuzz::{check_line, within_mib};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|data: &[u8]| {
     let tensor = match within_mib(16, || decode(data)) {
         Ok(tensor) => tensor,
-        Err(error) => return check_message(&error.to_string(), ""),
+        Err(error) => return check_line(&error.to_string(), ""),
     };
     assert_eq!(tensor.shape().iter().product::<usize>(), tensor.len(), "size");
     let file = encode(&tensor);

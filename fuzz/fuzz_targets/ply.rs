@@ -4,8 +4,8 @@
 
 use std::path::Path;
 
-use garad::dataset::PlyOptions;
-use garad::dataset::ply::{format_ply, parse_ply};
+use garad_dataset::PlyOptions;
+use garad_dataset::ply::{format_ply, parse_ply};
 use garad_fuzz::{check_error, within_mib};
 use libfuzzer_sys::fuzz_target;
 

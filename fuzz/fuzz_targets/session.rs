@@ -3,10 +3,10 @@
 
 #![no_main]
 
-use garad::core::Par;
+use garad_core::Par;
 use garad::run::{Run, RunOptions};
 use garad::slam::Slam;
-use garad_fuzz::{check_chain, check_message, within_mib};
+use garad_fuzz::{check_line, within_mib};
 use libfuzzer_sys::fuzz_target;
 
 /// Magic and format.
@@ -49,7 +49,7 @@ fuzz_target!(|data: &[u8]| {
     let read = |mut bytes: &[u8]| within_mib(MIB, || Slam::load(&mut bytes, Par::Seq));
     let mut slam = match read(&session) {
         Ok(slam) => slam,
-        Err(error) => return check_message(&error.to_string(), ""),
+        Err(error) => return check_line(&error.to_string(), ""),
     };
     let first = saved(&mut slam);
     let mut again = read(&first).expect("what was written");
@@ -64,6 +64,6 @@ fuzz_target!(|data: &[u8]| {
     };
     let run = within_mib(MIB, || Run::resume(&mut &session[..], slam.camera(), &options));
     if let Err(error) = run {
-        check_chain(&error, "");
+        check_line(&format!("{error:#}"), "");
     }
 });

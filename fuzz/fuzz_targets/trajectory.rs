@@ -4,8 +4,8 @@
 
 use std::path::Path;
 
-use garad::core::StampedPose;
-use garad::dataset::{bonn_camera_from_marker, format_trajectory, parse_trajectory};
+use garad_core::StampedPose;
+use garad_dataset::{bonn_camera_from_marker, format_trajectory, parse_trajectory};
 use garad_fuzz::{check_error, within_mib};
 use libfuzzer_sys::fuzz_target;
 
