@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result, anyhow, bail};
 use garad_slam::Config;
 use garad_slam::config::RENAMED_KEYS;
 
@@ -45,6 +45,9 @@ pub fn layered(layers: &[Layer]) -> Result<Config> {
 /// table's own defaults instead of those below.
 fn overridden(below: &Config, layer: &Layer) -> Result<Config> {
     let Layer { name, text } = layer;
+    if let Some(key) = text.parse().ok().as_ref().and_then(first_nan) {
+        bail!("{name}: {key} is NaN; expected a number");
+    }
     let merge = || -> Option<Config> {
         let mut config = toml::Table::try_from(below).ok()?;
         let mut given = text.parse().ok()?;
@@ -63,6 +66,16 @@ fn overridden(below: &Config, layer: &Layer) -> Result<Config> {
             anyhow!("{name}:{line}: {}", error.message().replace('\n', " "))
         }),
     }
+}
+
+/// The first key with a NaN, which is in no range, but passes where a key has none.
+fn first_nan(table: &toml::Table) -> Option<String> {
+    let is_nan = |value: &toml::Value| value.as_float().is_some_and(f64::is_nan);
+    table.iter().find_map(|(key, value)| match value {
+        toml::Value::Table(inner) => Some(format!("{key}.{}", first_nan(inner)?)),
+        toml::Value::Array(items) => items.iter().any(is_nan).then(|| key.clone()),
+        value => is_nan(value).then(|| key.clone()),
+    })
 }
 
 /// Moves a value to its key of today, unless that is given, too.
@@ -239,6 +252,20 @@ mod tests {
             assert!(
                 message.contains(&format!("config.toml:{line}: ")) && !message.contains('\n'),
                 "{text:?}: {message}"
+            );
+        }
+        // Keys with and without a range.
+        for (text, key) in [
+            ("[tracking]\nbf = nan", "tracking.bf"),
+            (
+                "[keyframes]\ntracked_share = -nan",
+                "keyframes.tracked_share",
+            ),
+        ] {
+            let message = format!("{:#}", parse(text).expect_err(text));
+            assert!(
+                message.contains(&format!("config.toml: {key} is NaN")),
+                "{message}"
             );
         }
         let range = format!(

@@ -2,10 +2,10 @@
 
 #![no_main]
 
+use garad_fuzz::{folder_of, within_mib};
 use garad_golden::Case;
 use garad_golden::answers::read_answers;
 use garad_golden::judge::judge;
-use garad_fuzz::{folder_of, within_mib};
 use libfuzzer_sys::fuzz_target;
 
 /// Outputs of each kind of number, inline.

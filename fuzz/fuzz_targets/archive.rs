@@ -17,7 +17,10 @@ const BLOCK: usize = 512;
 /// Sets the checksum of every block that looks like a header.
 fn with_checksums(data: &[u8]) -> Vec<u8> {
     let mut tar = data.to_vec();
-    for header in tar.chunks_exact_mut(BLOCK).filter(|b| &b[257..262] == b"ustar") {
+    for header in tar
+        .chunks_exact_mut(BLOCK)
+        .filter(|b| &b[257..262] == b"ustar")
+    {
         header[148..156].fill(b' ');
         let sum: u32 = header.iter().map(|b| u32::from(*b)).sum();
         header[148..156].copy_from_slice(format!("{sum:06o}\0 ").as_bytes());

@@ -2,11 +2,11 @@
 
 #![no_main]
 
+use garad_fuzz::{folder_of, within_mib};
 use garad_golden::answers::read_answers;
 use garad_golden::judge::judge;
 use garad_golden::verdict::Outcome;
 use garad_golden::{Case, Dtype, Tensor, npy};
-use garad_fuzz::{folder_of, within_mib};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|data: &[u8]| {
@@ -30,6 +30,9 @@ fuzz_target!(|data: &[u8]| {
         }
     };
     let verdict = within_mib(16, || judge(&case, &read_answers(&case, path), false));
-    let missing = verdict.outputs.iter().any(|output| output.comparison.is_none());
+    let missing = verdict
+        .outputs
+        .iter()
+        .any(|output| output.comparison.is_none());
     assert!(verdict.outcome != Outcome::Pass || !missing, "{verdict:?}");
 });

@@ -16,12 +16,18 @@ fn png(size: (usize, usize), bytes: &[u8], color: ExtendedColorType) -> Vec<u8> 
     let mut out = Vec::new();
     let (width, height) = (size.0 as u32, size.1 as u32);
     let encoder = PngEncoder::new(&mut out);
-    encoder.write_image(bytes, width, height, color).expect("an image with pixels");
+    encoder
+        .write_image(bytes, width, height, color)
+        .expect("an image with pixels");
     out
 }
 
 fn png_colour(image: &RgbImage) -> Vec<u8> {
-    png(image.size(), image.data().as_flattened(), ExtendedColorType::Rgb8)
+    png(
+        image.size(),
+        image.data().as_flattened(),
+        ExtendedColorType::Rgb8,
+    )
 }
 
 fn png_depth(size: (usize, usize), raw: impl Iterator<Item = u16>) -> Vec<u8> {
@@ -34,7 +40,11 @@ fn png_mask(image: &MaskImage) -> Vec<u8> {
 }
 
 /// The colour, depth and mask of the one frame of a recording, and whether each could be decoded.
-fn read(colour: &[u8], depth: &[u8], mask: &[u8]) -> (Option<(RgbImage, DepthImage)>, Option<MaskImage>) {
+fn read(
+    colour: &[u8],
+    depth: &[u8],
+    mask: &[u8],
+) -> (Option<(RgbImage, DepthImage)>, Option<MaskImage>) {
     let folder = folder_of(&[
         ("rgb.txt", b"1 rgb/1.png\n"),
         ("depth.txt", b"1 depth/1.png\n"),
@@ -48,7 +58,9 @@ fn read(colour: &[u8], depth: &[u8], mask: &[u8]) -> (Option<(RgbImage, DepthIma
         let Some(dataset) = open(path, true) else {
             return (None, None);
         };
-        let frame = dataset.read(0).inspect_err(|error| check_error(error, path));
+        let frame = dataset
+            .read(0)
+            .inspect_err(|error| check_error(error, path));
         let mask = dataset.read_own_mask(MASK_FOLDER, 0);
         let mask = mask.inspect_err(|error| check_error(error, path));
         (
@@ -69,9 +81,15 @@ fuzz_target!(|data: &[u8]| {
     let (frame, mask) = read(&colour, data, data);
     if let Some((_, metres)) = frame {
         let range = 0.0..=65535.0 / 5000.0;
-        assert!(metres.data().iter().all(|z| range.contains(z)), "{metres:?}");
+        assert!(
+            metres.data().iter().all(|z| range.contains(z)),
+            "{metres:?}"
+        );
         // At most 65535.
-        let raw = metres.data().iter().map(|z| (f64::from(*z) * 5000.0).round() as u16);
+        let raw = metres
+            .data()
+            .iter()
+            .map(|z| (f64::from(*z) * 5000.0).round() as u16);
         let again = read(&colour, &png_depth(metres.size(), raw), data);
         assert_eq!(again.0.map(|frame| frame.1), Some(metres), "depth");
     }

@@ -3,9 +3,9 @@
 #![no_main]
 
 use garad::eval::Metrics;
+use garad_fuzz::{check_line, folder_of, within_mib};
 use garad_golden::trace::diff::{Judge, diff};
 use garad_golden::{Tensor, npy};
-use garad_fuzz::{check_line, folder_of, within_mib};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|data: &[u8]| {

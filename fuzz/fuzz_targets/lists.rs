@@ -20,7 +20,9 @@ fuzz_target!(|data: &[u8]| {
         assert!(strict.is_none(), "strict reads what lenient refuses");
         return;
     };
-    let times: Vec<f64> = (0..dataset.len()).filter_map(|i| dataset.timestamp(i)).collect();
+    let times: Vec<f64> = (0..dataset.len())
+        .filter_map(|i| dataset.timestamp(i))
+        .collect();
     assert_eq!(times.len(), dataset.len(), "a time for each frame");
     assert!(times.is_sorted_by(|a, b| a < b), "ascending: {times:?}");
     assert!(times.iter().all(|t| (0.0..=1e11).contains(t)), "{times:?}");

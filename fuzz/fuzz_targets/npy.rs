@@ -2,8 +2,8 @@
 
 #![no_main]
 
-use garad_golden::npy::{decode, encode};
 use garad_fuzz::{check_line, within_mib};
+use garad_golden::npy::{decode, encode};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|data: &[u8]| {
@@ -11,7 +11,11 @@ fuzz_target!(|data: &[u8]| {
         Ok(tensor) => tensor,
         Err(error) => return check_line(&error.to_string(), ""),
     };
-    assert_eq!(tensor.shape().iter().product::<usize>(), tensor.len(), "size");
+    assert_eq!(
+        tensor.shape().iter().product::<usize>(),
+        tensor.len(),
+        "size"
+    );
     let file = encode(&tensor);
     assert_eq!(file.len() - tensor.bytes().len() & 63, 0, "aligned");
     assert_eq!(decode(&file), Ok(tensor), "round trip");

@@ -30,5 +30,9 @@ fuzz_target!(|data: &[u8]| {
         (map.means, map.log_scales, map.quaternions),
         "geometry"
     );
-    assert_eq!((again.opacity_logits, again.label), (map.opacity_logits, map.label), "the rest");
+    assert_eq!(
+        (again.opacity_logits, again.label),
+        (map.opacity_logits, map.label),
+        "the rest"
+    );
 });

@@ -3,9 +3,9 @@
 
 #![no_main]
 
-use garad_core::Par;
 use garad::run::{Run, RunOptions};
 use garad::slam::Slam;
+use garad_core::Par;
 use garad_fuzz::{check_line, within_mib};
 use libfuzzer_sys::fuzz_target;
 
@@ -25,7 +25,9 @@ fn with_checksums(data: &[u8]) -> Vec<u8> {
             break;
         };
         let length = u64::from_le_bytes(bytes.try_into().expect("eight bytes"));
-        let end = usize::try_from(length).ok().and_then(|n| n.checked_add(sum.end));
+        let end = usize::try_from(length)
+            .ok()
+            .and_then(|n| n.checked_add(sum.end));
         let Some(end) = end.filter(|end| *end <= session.len()) else {
             break;
         };
@@ -62,7 +64,9 @@ fuzz_target!(|data: &[u8]| {
         strict: false,
         quiet: true,
     };
-    let run = within_mib(MIB, || Run::resume(&mut &session[..], slam.camera(), &options));
+    let run = within_mib(MIB, || {
+        Run::resume(&mut &session[..], slam.camera(), &options)
+    });
     if let Err(error) = run {
         check_line(&format!("{error:#}"), "");
     }

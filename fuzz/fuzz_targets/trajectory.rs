@@ -23,13 +23,20 @@ fuzz_target!(|data: &[u8]| {
     };
     assert!(poses.is_sorted_by(|a, b| a.t_s < b.t_s), "ascending");
     for pose in &poses {
-        let (r, t) = (&pose.world_from_camera.rotation, pose.world_from_camera.translation);
+        let (r, t) = (
+            &pose.world_from_camera.rotation,
+            pose.world_from_camera.translation,
+        );
         let numbers = r.quaternion().into_iter().chain(t.iter().copied());
         assert!(numbers.chain([pose.t_s]).all(f64::is_finite), "{pose:?}");
         let norm = r.quaternion().iter().map(|q| q * q).sum::<f64>();
         assert!((norm - 1.0).abs() < 1e-14, "{pose:?}");
     }
-    assert_eq!(bonn_camera_from_marker(&poses).len(), poses.len(), "one each");
+    assert_eq!(
+        bonn_camera_from_marker(&poses).len(),
+        poses.len(),
+        "one each"
+    );
 
     // Six decimals: times closer than that do not ascend once they are written.
     let apart = |a: &StampedPose, b: &StampedPose| b.t_s - a.t_s > 2e-6 + 1e-15 * b.t_s;
@@ -46,7 +53,12 @@ fuzz_target!(|data: &[u8]| {
         for (x, y) in a.translation.iter().zip(b.translation.iter()) {
             assert!(near(*x, *y, 0.5e-9), "{a:?} {b:?}");
         }
-        for (x, y) in a.rotation.quaternion().into_iter().zip(b.rotation.quaternion()) {
+        for (x, y) in a
+            .rotation
+            .quaternion()
+            .into_iter()
+            .zip(b.rotation.quaternion())
+        {
             assert!((x - y).abs() <= 3e-9, "{a:?} {b:?}");
         }
     }

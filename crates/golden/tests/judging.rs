@@ -292,9 +292,17 @@ fn whole(numbers: &[i64]) -> Tensor {
 #[test]
 fn whole_numbers_up_to_2_53_are_answers() {
     let edge = 1i64 << 53;
-    let case = case("se3", json!({}), &[("n", &[2], &[edge as f64, -(edge as f64)], "exact")]);
+    let case = case(
+        "se3",
+        json!({}),
+        &[("n", &[2], &[edge as f64, -(edge as f64)], "exact")],
+    );
     let folder = tempfile::tempdir().expect("a folder");
-    std::fs::write(folder.path().join("n.npy"), npy::encode(&whole(&[edge, -edge]))).expect("written");
+    std::fs::write(
+        folder.path().join("n.npy"),
+        npy::encode(&whole(&[edge, -edge])),
+    )
+    .expect("written");
     let verdict = judge(&case, &read_answers(&case, folder.path()), false);
     assert_eq!(verdict.outcome, Outcome::Pass, "{verdict:?}");
 }

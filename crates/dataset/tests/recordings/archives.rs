@@ -290,7 +290,10 @@ fn names_that_lead_outside_are_refused() {
     let mut entries = good_entries("x/");
     entries.push((format!("../evil{}", "/a".repeat(30_000)), 0o644, Vec::new()));
     let message = error_of(&folder.zip("a.zip", &entries));
-    assert!(message.contains("../evil/a") && message.len() < 300, "{message}");
+    assert!(
+        message.contains("../evil/a") && message.len() < 300,
+        "{message}"
+    );
     // A long name is a name too.
     let mut tar = good_tar("x/");
     append(
@@ -432,9 +435,15 @@ fn broken_archives_are_reported() {
     header.as_mut_bytes()[124..136].fill(b'z');
     header.set_cksum();
     tar.extend_from_slice(header.as_bytes());
-    for path in [folder.file("size.tar", &tar), folder.file("size.tgz", &gzip(&tar))] {
+    for path in [
+        folder.file("size.tar", &tar),
+        folder.file("size.tgz", &gzip(&tar)),
+    ] {
         let message = error_of(&path);
-        assert!(message.contains("size.t") && message.contains("not a number"), "{message}");
+        assert!(
+            message.contains("size.t") && message.contains("not a number"),
+            "{message}"
+        );
     }
     let mut twice = good_entries("a/");
     twice.extend(good_entries("b/"));
