@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes fuzz/seeds/TARGET/, the same bytes each time. `session` has its own generator, examples/session_seeds.rs."""
+"""Writes fuzz/seeds/TARGET/, the same bytes each time. The target `session` writes its own."""
 
 import gzip
 import io

@@ -4,40 +4,76 @@
 
 #![no_main]
 
+use std::path::Path;
+use std::sync::OnceLock;
+
+use garad::recording::Recording;
 use garad::run::{Run, RunOptions};
 use garad::slam::Slam;
 use garad::slam::session::SectionReader;
+use garad::source::SourceFrame;
+use garad::synth::{Scene, SceneConfig, SceneName};
 use garad_core::{Camera, Par};
 use garad_fuzz::{check_line, within_mib};
 use libfuzzer_sys::fuzz_target;
 
+const MAGIC: &[u8] = b"garad session\n";
 /// Magic and format.
-const HEADER: usize = 18;
+const HEADER: usize = MAGIC.len() + 4;
 const MIB: usize = 256;
 
-/// The input with the checksum of each section that is whole made right.
-fn with_checksums(data: &[u8]) -> Vec<u8> {
-    let mut session = data.to_vec();
-    let mut at = HEADER;
-    while let Some(length_of_name) = session.get(at) {
-        let name = at + 1..at + 1 + usize::from(*length_of_name);
-        let (length, sum) = (name.end..name.end + 8, name.end + 8..name.end + 12);
-        let Some(bytes) = session.get(length) else {
-            break;
-        };
-        let length = u64::from_le_bytes(bytes.try_into().expect("eight bytes"));
-        let end = usize::try_from(length)
-            .ok()
-            .and_then(|n| n.checked_add(sum.end));
-        let Some(end) = end.filter(|end| *end <= session.len()) else {
-            break;
-        };
-        let mut hasher = crc32fast::Hasher::new();
-        hasher.update(&session[name]);
-        hasher.update(&session[sum.end..end]);
-        session[sum].copy_from_slice(&hasher.finalize().to_le_bytes());
-        at = end;
+/// The section with the index of places: 590 kB even when it is empty, and so not part of the inputs.
+static PLACES: OnceLock<Vec<u8>> = OnceLock::new();
+
+/// A section: all its bytes, its name and its value.
+struct Section<'a> {
+    whole: &'a [u8],
+    name: &'a [u8],
+    value: &'a [u8],
+}
+
+impl<'a> Section<'a> {
+    /// The section at the start of these bytes, if it is whole.
+    fn first(bytes: &'a [u8]) -> Option<Self> {
+        let (length_of_name, rest) = bytes.split_first()?;
+        let (name, rest) = rest.split_at_checked(usize::from(*length_of_name))?;
+        let (length, rest) = rest.split_first_chunk()?;
+        let (_checksum, rest) = rest.split_first_chunk::<4>()?;
+        let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+        let (value, rest) = rest.split_at_checked(length)?;
+        let whole = &bytes[..bytes.len() - rest.len()];
+        Some(Self { whole, name, value })
     }
+
+    fn checksum(&self) -> [u8; 4] {
+        let mut hasher = crc32fast::Hasher::new();
+        hasher.update(self.name);
+        hasher.update(self.value);
+        hasher.finalize().to_le_bytes()
+    }
+}
+
+/// The input with the checksum of each whole section made right and the places put in.
+fn completed(data: &[u8]) -> Vec<u8> {
+    let (mut session, mut rest) = (Vec::new(), data);
+    while !rest.is_empty() {
+        if rest.starts_with(MAGIC) && rest.len() >= HEADER {
+            session.extend(&rest[..HEADER]);
+            rest = &rest[HEADER..];
+            continue;
+        }
+        let Some(section) = Section::first(rest) else {
+            break;
+        };
+        if section.name == b"images" {
+            session.extend(PLACES.get().expect("made at the start"));
+        }
+        let at = session.len() + 1 + section.name.len() + 8;
+        session.extend(section.whole);
+        session[at..at + 4].copy_from_slice(&section.checksum());
+        rest = &rest[section.whole.len()..];
+    }
+    session.extend(rest);
     session
 }
 
@@ -47,14 +83,71 @@ fn is_large(session: &[u8]) -> bool {
     camera.is_ok_and(|camera| camera.width.max(camera.height) > 256)
 }
 
+/// Writes `seeds/session`: the state before the first frame, and after three frames of a small scene. At each
+/// start, because sessions of another version are refused.
+fn write_seeds() -> anyhow::Result<()> {
+    const FRAMES: usize = 3;
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("seeds/session");
+    std::fs::create_dir_all(&folder)?;
+    let scene = Scene::new(&SceneConfig {
+        frames: FRAMES,
+        width: 64,
+        height: 48,
+        supersample: 1,
+        ..SceneConfig::new(SceneName::QuietDesk)
+    })?;
+    let mut options = RunOptions {
+        threads: 1,
+        quiet: true,
+        ..RunOptions::default()
+    };
+    options.config.features.count = 60;
+    options.config.keyframes.first_min_keypoints = 10;
+    options.config.tracking.min_inliers = 5;
+    options.config.keyframes.max_gap = 1;
+    options.config.keyframes.min_gap = 1;
+    options.config.schedule.handover_frames = 1;
+    options.config.train.per_keyframe = 1;
+    for frames in [0, FRAMES] {
+        let mut run = Run::new(&scene.camera(), &options)?;
+        let source = (0..frames).map(|i| {
+            let frame = scene.frame(i, Par::Seq);
+            Ok(SourceFrame {
+                t_s: frame.t_s,
+                depth_t_s: frame.t_s,
+                rgb: frame.rgb,
+                depth: frame.depth,
+                mask: None,
+                truth: Some(frame.mask),
+            })
+        });
+        run.process(source, frames);
+        let recording = Recording {
+            name: "seed".to_owned(),
+            given_masks: false,
+            times_s: (0..frames).map(|i| scene.timestamp(i)).collect(),
+            fingerprints: [None; 2],
+        };
+        let mut bytes = Vec::new();
+        run.save(&mut bytes, &recording)?;
+        let at = bytes.windows(7).position(|window| window == b"\x06places");
+        let at = at.expect("a section of every session");
+        let places = Section::first(&bytes[at..]).expect("whole").whole.to_vec();
+        bytes.drain(at..at + places.len());
+        PLACES.get_or_init(|| places);
+        std::fs::write(folder.join(format!("frames_{frames}")), bytes)?;
+    }
+    Ok(())
+}
+
 fn saved(slam: &mut Slam) -> Vec<u8> {
     let mut bytes = Vec::new();
     slam.save(&mut bytes).expect("a state that was read");
     bytes
 }
 
-fuzz_target!(|data: &[u8]| {
-    let session = with_checksums(data);
+fuzz_target!(init: write_seeds().expect("seeds"), |data: &[u8]| {
+    let session = completed(data);
     if is_large(&session) {
         return;
     }
