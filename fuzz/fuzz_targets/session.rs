@@ -83,16 +83,16 @@ fn is_large(session: &[u8]) -> bool {
     camera.is_ok_and(|camera| camera.width.max(camera.height) > 256)
 }
 
-/// Writes `seeds/session`: the state before the first frame, and after three frames of a small scene. At each
+/// Writes `seeds/session`: the state before the first frame, and after the first frame of a small scene. At each
 /// start, because sessions of another version are refused.
 fn write_seeds() -> anyhow::Result<()> {
-    const FRAMES: usize = 3;
+    const FRAMES: usize = 1;
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("seeds/session");
     std::fs::create_dir_all(&folder)?;
     let scene = Scene::new(&SceneConfig {
         frames: FRAMES,
-        width: 64,
-        height: 48,
+        width: 96,
+        height: 64,
         supersample: 1,
         ..SceneConfig::new(SceneName::QuietDesk)
     })?;
@@ -102,6 +102,7 @@ fn write_seeds() -> anyhow::Result<()> {
         ..RunOptions::default()
     };
     options.config.features.count = 60;
+    options.config.features.levels = 1;
     options.config.keyframes.first_min_keypoints = 10;
     options.config.tracking.min_inliers = 5;
     options.config.keyframes.max_gap = 1;
@@ -118,7 +119,7 @@ fn write_seeds() -> anyhow::Result<()> {
                 rgb: frame.rgb,
                 depth: frame.depth,
                 mask: None,
-                truth: Some(frame.mask),
+                truth: None,
             })
         });
         run.process(source, frames);

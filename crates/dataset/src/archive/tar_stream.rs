@@ -76,11 +76,6 @@ fn walk_tar<R: Read>(
     for (index, entry) in entries.raw(true).enumerate() {
         check_entries(path, index)?;
         let mut entry = entry.map_err(|e| broken(path, e))?;
-        // Seeking past the end is not an error, so a truncated archive must be found here.
-        let end = entry.raw_file_position().checked_add(entry.size());
-        if end.is_none_or(|end| end > length) {
-            return Err(broken(path, "it ends inside a file"));
-        }
         let kind = entry.header().entry_type();
         if kind.is_pax_global_extensions() || kind.is_gnu_longlink() {
             continue;
@@ -109,8 +104,16 @@ fn walk_tar<R: Read>(
         if !kind.is_file() {
             return Err(special(path, &name, tar_kind(kind)));
         }
-        if is_wanted(&name) {
+        let wanted = is_wanted(&name);
+        if wanted {
             check_file_size(entry.size(), &path.join(&name))?;
+        }
+        // Seeking past the end is not an error, so a truncated archive must be found here.
+        let end = entry.raw_file_position().checked_add(entry.size());
+        if end.is_none_or(|end| end > length) {
+            return Err(broken(path, "it ends inside a file"));
+        }
+        if wanted {
             let stored = store(&name, &mut entry)?;
             files.insert(name, stored);
         }
