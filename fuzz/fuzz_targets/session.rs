@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 use garad::recording::Recording;
 use garad::run::{Run, RunOptions};
 use garad::slam::Slam;
-use garad::slam::session::SectionReader;
+use garad::slam::session::{FORMAT, PROGRAM, SectionReader};
 use garad::source::SourceFrame;
 use garad::synth::{Scene, SceneConfig, SceneName};
 use garad_core::{Camera, Par};
@@ -83,8 +83,8 @@ fn is_large(session: &[u8]) -> bool {
     camera.is_ok_and(|camera| camera.width.max(camera.height) > 256)
 }
 
-/// Writes `seeds/session`: the state before the first frame, and after the first frame of a small scene. At each
-/// start, because sessions of another version are refused.
+/// Writes `seeds/session`: the state before the first frame, and after the first frame of a small scene. Here and
+/// not in `seeds.py`, because sessions of another version or format are refused.
 fn write_seeds() -> anyhow::Result<()> {
     const FRAMES: usize = 1;
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("seeds/session");
@@ -110,6 +110,10 @@ fn write_seeds() -> anyhow::Result<()> {
     options.config.schedule.handover_frames = 1;
     options.config.train.per_keyframe = 1;
     for frames in [0, FRAMES] {
+        let seed = folder.join(format!("garad_{PROGRAM}_format_{FORMAT}_frames_{frames}"));
+        if PLACES.get().is_some() && seed.is_file() {
+            continue;
+        }
         let mut run = Run::new(&scene.camera(), &options)?;
         let source = (0..frames).map(|i| {
             let frame = scene.frame(i, Par::Seq);
@@ -136,7 +140,7 @@ fn write_seeds() -> anyhow::Result<()> {
         let places = Section::first(&bytes[at..]).expect("whole").whole.to_vec();
         bytes.drain(at..at + places.len());
         PLACES.get_or_init(|| places);
-        std::fs::write(folder.join(format!("frames_{frames}")), bytes)?;
+        std::fs::write(seed, bytes)?;
     }
     Ok(())
 }
