@@ -429,12 +429,23 @@ fn broken_archives_are_reported() {
     }
     // A file that is passed over does not hide that the rest is missing.
     let mut tar = good_tar("x/");
-    append(&mut tar, tar::EntryType::Regular, "x/README.md", &[b'a'; 2000]);
+    append(
+        &mut tar,
+        tar::EntryType::Regular,
+        "x/README.md",
+        &[b'a'; 2000],
+    );
     append(&mut tar, tar::EntryType::Regular, "x/rgb/1.20.png", b"");
     let tar = tar.into_inner().expect("finished");
     let cut = &tar[..tar.len() - 1024 - 512 - 1000];
-    for path in [folder.file("end.tar", cut), folder.file("end.tgz", &gzip(cut))] {
-        assert!(error_of(&path).contains("broken archive"), "cut in README.md");
+    for path in [
+        folder.file("end.tar", cut),
+        folder.file("end.tgz", &gzip(cut)),
+    ] {
+        assert!(
+            error_of(&path).contains("broken archive"),
+            "cut in README.md"
+        );
     }
     // A name of two lines in the message of the reader: a size that is no number.
     let mut tar = good_tar("x/").into_inner().expect("finished");
