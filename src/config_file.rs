@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result, anyhow, bail};
 use garad_slam::Config;
 use garad_slam::config::RENAMED_KEYS;
 use serde::Deserialize;
@@ -48,6 +48,9 @@ pub fn layered(layers: &[Layer]) -> Result<Config> {
 /// table's own defaults instead of those below, or miss what it does not name.
 fn overridden(below: &Config, layer: &Layer) -> Result<Config> {
     let Layer { name, text } = layer;
+    if let Some(key) = text.parse().ok().as_ref().and_then(first_nan) {
+        bail!("{name}: {key} is NaN; expected a number");
+    }
     let below = write(below)?;
     let read = || -> Result<Config, toml::de::Error> {
         let mut given = DeTable::parse(text)?;
@@ -60,7 +63,18 @@ fn overridden(below: &Config, layer: &Layer) -> Result<Config> {
     // Only what is given can be wrong, so a span is one of the text.
     read().map_err(|error| {
         let line = line_of(text, error.span().map_or(0, |span| span.start));
-        anyhow!("{name}:{line}: {}", error.message())
+        // A message may quote a key or a value that spans lines.
+        anyhow!("{name}:{line}: {}", error.message().replace('\n', " "))
+    })
+}
+
+/// The first key with a NaN, which is in no range, but passes where a key has none.
+fn first_nan(table: &toml::Table) -> Option<String> {
+    let is_nan = |value: &toml::Value| value.as_float().is_some_and(f64::is_nan);
+    table.iter().find_map(|(key, value)| match value {
+        toml::Value::Table(inner) => Some(format!("{key}.{}", first_nan(inner)?)),
+        toml::Value::Array(items) => items.iter().any(is_nan).then(|| key.clone()),
+        value => is_nan(value).then(|| key.clone()),
     })
 }
 
@@ -240,6 +254,8 @@ mod tests {
             ("[insertion]\n\nopacity = true\n", 3),
             ("[insertion\n", 1),
             ("[insertion]\nopacity =", 2),
+            ("\"un\\nknown\" = 1", 1),
+            ("[loops]\n\nlinear_solver = \"fear\\nless\"", 3),
         ] {
             let message = format!("{:#}", parse(text).expect_err(text));
             assert!(
@@ -268,6 +284,20 @@ mod tests {
             assert!(
                 message.contains(&start) && message.contains(word),
                 "{text:?}: {message}"
+            );
+        }
+        // Keys with and without a range.
+        for (text, key) in [
+            ("[tracking]\nbf = nan", "tracking.bf"),
+            (
+                "[keyframes]\ntracked_share = -nan",
+                "keyframes.tracked_share",
+            ),
+        ] {
+            let message = format!("{:#}", parse(text).expect_err(text));
+            assert!(
+                message.contains(&format!("config.toml: {key} is NaN")),
+                "{message}"
             );
         }
         let range = format!(

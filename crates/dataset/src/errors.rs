@@ -141,7 +141,7 @@ pub enum DatasetError {
         limit: u64,
     },
     /// A name that leads outside the recording.
-    #[error("{}: name {name:?} refused; expected a relative path without `..`", path.display())]
+    #[error("{}: name {} refused; expected a relative path without `..`", path.display(), excerpt(name))]
     UnsafeName {
         /// The archive or list with the name.
         path: PathBuf,
@@ -149,7 +149,7 @@ pub enum DatasetError {
         name: String,
     },
     /// A link, device or other special entry of an archive.
-    #[error("{}: {name:?} is a {kind}; expected only files and folders", path.display())]
+    #[error("{}: {} is a {kind}; expected only files and folders", path.display(), excerpt(name))]
     SpecialEntry {
         /// The archive.
         path: PathBuf,

@@ -7,8 +7,8 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use crate::error::GoldenError;
-use crate::npy;
 use crate::tensor::{Dtype, Tensor};
+use crate::trace::read_npy;
 
 /// No file of a case is larger; what claims to be is refused unread.
 const MAX_FILE_BYTES: u64 = 64 << 20;
@@ -76,9 +76,7 @@ pub(crate) fn load_tensor(folder: &Path, name: &str, entry: &Entry) -> Result<Te
             if file.contains(['/', '\\']) || file.starts_with('.') {
                 return Err(problem(format!("file '{file}' is not a plain name")));
             }
-            let path = folder.join(file);
-            let tensor =
-                npy::decode(&read(&path)?).map_err(|source| GoldenError::Npy { path, source })?;
+            let tensor = read_npy(&folder.join(file))?;
             if (tensor.dtype(), tensor.shape()) == (dtype, &entry.shape[..]) {
                 Ok(tensor)
             } else {
@@ -95,7 +93,9 @@ pub(crate) fn load_tensor(folder: &Path, name: &str, entry: &Entry) -> Result<Te
             let mut bytes = Vec::new();
             flatten(data, &entry.shape, dtype, &mut bytes).map_err(problem)?;
             Tensor::from_bytes(dtype, entry.shape.clone(), bytes)
-                .ok_or_else(|| problem("data and shape disagree".to_owned()))
+                .ok_or_else(|| problem("data and shape disagree".to_owned()))?
+                .exact()
+                .map_err(|error| problem(error.to_string()))
         }
         _ => Err(problem("needs either 'file' or 'data'".to_owned())),
     }

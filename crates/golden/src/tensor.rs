@@ -1,5 +1,7 @@
 //! [`Tensor`]: an array with a type and a shape, as a golden case holds it.
 
+use crate::npy::NpyError;
+
 /// Element type. The name in `case.json` and the descriptor in `.npy` files are two spellings
 /// of the same thing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -151,6 +153,25 @@ impl Tensor {
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
+    }
+
+    /// The tensor, if [`Tensor::f64`] holds each of its elements exactly.
+    ///
+    /// # Errors
+    /// [`NpyError::Inexact`] with the first that it does not.
+    pub(crate) fn exact(self) -> Result<Self, NpyError> {
+        let i64s = match self.dtype {
+            Dtype::I64 => self.i64(),
+            _ => Vec::new(),
+        };
+        let at = i64s.iter().position(|v| v.unsigned_abs() > EXACT_F64);
+        match at {
+            Some(at) => Err(NpyError::Inexact {
+                at,
+                value: i64s[at],
+            }),
+            None => Ok(self),
+        }
     }
 
     /// Indices of the element at position `flat`.

@@ -149,12 +149,14 @@ pub fn load_tensor(folder: &Path, entry: &Entry) -> Result<Tensor, GoldenError> 
     })
 }
 
-/// A `.npy` file, whatever is in it.
+/// A `.npy` file, whatever is in it, as long as its numbers can be compared.
 pub(crate) fn read_npy(path: &Path) -> Result<Tensor, GoldenError> {
-    npy::decode(&read(path)?).map_err(|source| GoldenError::Npy {
-        path: path.to_owned(),
-        source,
-    })
+    npy::decode(&read(path)?)
+        .and_then(Tensor::exact)
+        .map_err(|source| GoldenError::Npy {
+            path: path.to_owned(),
+            source,
+        })
 }
 
 /// Tolerances of the tensors that a correct port may have otherwise; all others are exact. Names are

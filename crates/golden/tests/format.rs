@@ -1,6 +1,6 @@
 //! How a case is read, and what is said of one that cannot be.
 
-use garad_golden::{Case, Tensor, npy};
+use garad_golden::{Case, Dtype, Tensor, npy};
 
 const HEAD: &str = r#""schema": 1, "stage": "s", "case": "c", "why": "w", "basis": "closed-form",
     "generator": {"script": "gen/s.py", "version": 1, "seed": null}"#;
@@ -129,6 +129,8 @@ fn numbers_are_parsed_to_the_last_bit() {
 #[test]
 fn disagreements_are_named() {
     let x = npy::encode(&Tensor::from(vec![1.0]));
+    let n = Tensor::from_bytes(Dtype::I64, vec![1], i64::MAX.to_le_bytes().into());
+    let n = npy::encode(&n.expect("one number"));
     for (entry, expected) in [
         (
             r#"{"dtype": "f16", "shape": [], "unit": "1", "data": 1}"#,
@@ -167,6 +169,14 @@ fn disagreements_are_named() {
             "256 is not a value",
         ),
         (
+            r#"{"dtype": "i64", "shape": [2], "unit": "1", "data": [3, -9007199254740993]}"#,
+            "tensor 'y': -9007199254740993 at position 1; expected whole numbers of at most 2^53",
+        ),
+        (
+            r#"{"dtype": "i64", "shape": [1], "unit": "1", "file": "n.npy"}"#,
+            "n.npy: 9223372036854775807 at position 0",
+        ),
+        (
             r#"{"dtype": "f64", "shape": [2], "unit": "1", "data": [1]}"#,
             "lists of shape [2]",
         ),
@@ -179,7 +189,7 @@ fn disagreements_are_named() {
             "unknown field",
         ),
     ] {
-        let error = error_of(&with_output(entry), &[("x.npy", &x)]);
+        let error = error_of(&with_output(entry), &[("x.npy", &x), ("n.npy", &n)]);
         assert!(error.contains(expected), "{entry}: {error}");
     }
     let schema = error_of(

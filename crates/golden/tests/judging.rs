@@ -266,15 +266,45 @@ fn what_cannot_be_compared_is_said() {
         Outcome::Missing,
         "nothing"
     );
-    std::fs::write(folder.path().join("xy.npy"), "not numpy").expect("written");
-    let verdict = judge(&case, &read_answers(&case, folder.path()), true);
-    assert_eq!(
-        verdict.outputs[0].verdict,
-        Verdict::Unreadable,
-        "no .npy file"
+    let file = folder.path().join("xy.npy");
+    let unreadable = |expected: &str| {
+        let verdict = judge(&case, &read_answers(&case, folder.path()), true);
+        let output = &verdict.outputs[0];
+        assert_eq!(output.verdict, Verdict::Unreadable, "{expected}");
+        let note = output.note.clone().unwrap_or_default();
+        assert!(note.contains(expected), "{note}");
+    };
+    std::fs::write(&file, "not numpy").expect("written");
+    unreadable("NUMPY");
+    std::fs::write(&file, npy::encode(&whole(&[3, (1 << 53) + 1]))).expect("written");
+    unreadable("9007199254740993 at position 1; expected whole numbers of at most 2^53");
+    let sparse = std::fs::File::create(&file).expect("made");
+    sparse.set_len((64 << 20) + 1).expect("a hole");
+    unreadable("67108865 bytes; at most 67108864 are read");
+}
+
+fn whole(numbers: &[i64]) -> Tensor {
+    let bytes = numbers.iter().flat_map(|v| v.to_le_bytes());
+    Tensor::from_bytes(Dtype::I64, vec![numbers.len()], bytes.collect()).expect("as many")
+}
+
+/// The largest whole numbers that f64 holds are still compared.
+#[test]
+fn whole_numbers_up_to_2_53_are_answers() {
+    let edge = 1i64 << 53;
+    let case = case(
+        "se3",
+        json!({}),
+        &[("n", &[2], &[edge as f64, -(edge as f64)], "exact")],
     );
-    let note = verdict.outputs[0].note.clone().unwrap_or_default();
-    assert!(note.contains("NUMPY"), "{note}");
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(
+        folder.path().join("n.npy"),
+        npy::encode(&whole(&[edge, -edge])),
+    )
+    .expect("written");
+    let verdict = judge(&case, &read_answers(&case, folder.path()), false);
+    assert_eq!(verdict.outcome, Outcome::Pass, "{verdict:?}");
 }
 
 #[test]

@@ -14,10 +14,11 @@ pub(super) enum Stored {
     Zip { index: usize },
 }
 
+/// Messages of the readers may quote names with control characters.
 pub(super) fn broken(path: &Path, problem: impl ToString) -> DatasetError {
     DatasetError::Archive {
         path: path.to_path_buf(),
-        problem: problem.to_string(),
+        problem: problem.to_string().replace(char::is_control, " "),
     }
 }
 

@@ -19,12 +19,8 @@ pub(super) fn index_tar(path: &Path, file: File) -> Result<BTreeMap<String, Stor
     let length = file.metadata().map_err(DatasetError::io(path))?.len();
     let mut archive = tar::Archive::new(BufReader::new(file));
     let entries = archive.entries_with_seek().map_err(|e| broken(path, e))?;
-    walk_tar(path, entries, |_, entry| {
+    walk_tar(path, entries, length, |_, entry| {
         let (offset, bytes) = (entry.raw_file_position(), entry.size());
-        // Seeking past the end is not an error, so a truncated archive must be found here.
-        if offset.checked_add(bytes).is_none_or(|end| end > length) {
-            return Err(broken(path, "it ends inside a file"));
-        }
         Ok(Stored::Tar { offset, bytes })
     })
 }
@@ -48,7 +44,8 @@ pub(super) fn load_tgz(path: &Path, file: File) -> Result<BTreeMap<String, Store
         .entries()
         .map_err(|e| broken(path, e))
         .and_then(|entries| {
-            walk_tar(path, entries, |name, entry| {
+            // Where this stream ends is not known; reading and skipping notice it.
+            walk_tar(path, entries, u64::MAX, |name, entry| {
                 let mut bytes = Vec::new();
                 entry.read_to_end(&mut bytes).map_err(|e| broken(path, e))?;
                 if bytes.len() as u64 == entry.size() {
@@ -64,13 +61,14 @@ pub(super) fn load_tgz(path: &Path, file: File) -> Result<BTreeMap<String, Store
     }
 }
 
-/// Stores the entries of a tar stream that a recording can refer to.
+/// Stores the entries of a tar stream of at most `length` bytes that a recording can refer to.
 ///
 /// The tar crate reads long names of any claimed length, so entries are taken raw and the two kinds of
 /// long names are read here, with a limit.
 fn walk_tar<R: Read>(
     path: &Path,
     entries: tar::Entries<'_, R>,
+    length: u64,
     mut store: impl FnMut(&str, &mut tar::Entry<'_, R>) -> Result<Stored, DatasetError>,
 ) -> Result<BTreeMap<String, Stored>, DatasetError> {
     let mut files = BTreeMap::new();
@@ -106,8 +104,16 @@ fn walk_tar<R: Read>(
         if !kind.is_file() {
             return Err(special(path, &name, tar_kind(kind)));
         }
-        if is_wanted(&name) {
+        let wanted = is_wanted(&name);
+        if wanted {
             check_file_size(entry.size(), &path.join(&name))?;
+        }
+        // Seeking past the end is not an error, so a truncated archive must be found here.
+        let end = entry.raw_file_position().checked_add(entry.size());
+        if end.is_none_or(|end| end > length) {
+            return Err(broken(path, "it ends inside a file"));
+        }
+        if wanted {
             let stored = store(&name, &mut entry)?;
             files.insert(name, stored);
         }

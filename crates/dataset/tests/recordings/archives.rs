@@ -286,6 +286,14 @@ fn names_that_lead_outside_are_refused() {
             );
         }
     }
+    // Quoted in part.
+    let mut entries = good_entries("x/");
+    entries.push((format!("../evil{}", "/a".repeat(30_000)), 0o644, Vec::new()));
+    let message = error_of(&folder.zip("a.zip", &entries));
+    assert!(
+        message.contains("../evil/a") && message.len() < 300,
+        "{message}"
+    );
     // A long name is a name too.
     let mut tar = good_tar("x/");
     append(
@@ -418,6 +426,44 @@ fn broken_archives_are_reported() {
     for (name, bytes, expected) in cases {
         let message = error_of(&folder.file(name, bytes));
         assert!(message.contains(expected), "{name}: {message}");
+    }
+    // A file that is passed over does not hide that the rest is missing.
+    let mut tar = good_tar("x/");
+    append(
+        &mut tar,
+        tar::EntryType::Regular,
+        "x/README.md",
+        &[b'a'; 2000],
+    );
+    append(&mut tar, tar::EntryType::Regular, "x/rgb/1.20.png", b"");
+    let tar = tar.into_inner().expect("finished");
+    let cut = &tar[..tar.len() - 1024 - 512 - 1000];
+    for path in [
+        folder.file("end.tar", cut),
+        folder.file("end.tgz", &gzip(cut)),
+    ] {
+        assert!(
+            error_of(&path).contains("broken archive"),
+            "cut in README.md"
+        );
+    }
+    // A name of two lines in the message of the reader: a size that is no number.
+    let mut tar = good_tar("x/").into_inner().expect("finished");
+    tar.truncate(tar.len() - 1024);
+    let mut header = tar::Header::new_ustar();
+    header.as_mut_bytes()[..3].copy_from_slice(b"a\nb");
+    header.as_mut_bytes()[124..136].fill(b'z');
+    header.set_cksum();
+    tar.extend_from_slice(header.as_bytes());
+    for path in [
+        folder.file("size.tar", &tar),
+        folder.file("size.tgz", &gzip(&tar)),
+    ] {
+        let message = error_of(&path);
+        assert!(
+            message.contains("size.t") && message.contains("not a number"),
+            "{message}"
+        );
     }
     let mut twice = good_entries("a/");
     twice.extend(good_entries("b/"));

@@ -52,6 +52,14 @@ pub enum NpyError {
         /// Bytes after the header.
         there: usize,
     },
+    /// A whole number that f64, in which all numbers are compared, does not hold exactly.
+    #[error("{value} at position {at}; expected whole numbers of at most 2^53")]
+    Inexact {
+        /// Flat position.
+        at: usize,
+        /// The number.
+        value: i64,
+    },
     /// A bool that is neither 0 nor 1.
     #[error("bool at position {at} has the value {value}")]
     Bool {
