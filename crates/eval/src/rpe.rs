@@ -174,7 +174,7 @@ fn steps_by_time(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use garad_core::So3;
+    use garad_core::{Real, So3};
     use nalgebra::Vector3;
 
     /// Straight along x at 1 m/s, 10 poses per second.
@@ -308,7 +308,7 @@ mod tests {
         let camera: Vec<StampedPose> = (0..60u32)
             .map(|i| {
                 let t_s = f64::from(i) * 0.1;
-                let swing = |f: f64, a: f64| a * garad_core::Real::sin(f * t_s);
+                let swing = |f: f64, a: f64| a * Real::sin_cos(f * t_s).0;
                 let turn = Vector3::new(swing(2.0, 0.3), swing(1.3, 0.2), swing(0.7, 0.4));
                 let at = Vector3::new(swing(0.9, 0.5), 0.2 * t_s, swing(1.1, 0.1));
                 StampedPose {
