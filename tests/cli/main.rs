@@ -10,6 +10,7 @@ mod comparing;
 mod golden;
 mod judging;
 mod labelling;
+mod layouts;
 mod rendering;
 mod results;
 mod session;

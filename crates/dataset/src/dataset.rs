@@ -12,7 +12,7 @@ use crate::errors::DatasetError;
 use crate::files::{clean_name, read_file};
 use crate::layout::{self, Context, Layout, Pair, Remarks};
 use crate::list::Entry;
-use crate::source::Source;
+use crate::source::{Source, image_size};
 
 /// Images whose size is compared with the camera's before the first frame.
 const FIRST_IMAGES: usize = 5;
@@ -339,14 +339,11 @@ impl Inner {
             self.calibration.depth_factor,
             self.calibration.missing_from(),
         )?;
-        let mut reference = "the colour image";
-        if scales {
-            reference = "the colour image, which is scaled down to depth of the same proportions; export both at one size";
-            if rgb.size() != depth.size() && decode::can_shrink(rgb.size(), depth.size()) {
-                rgb = decode::shrink(&rgb, depth.size());
-            }
+        let size = self.frame_size(i, rgb.size(), depth.size())?;
+        if size != rgb.size() {
+            rgb = decode::shrink(&rgb, size);
         }
-        at(&depth_path).check_size(depth.size(), rgb.size(), reference)?;
+        at(&depth_path).check_size(depth.size(), size, "the colour image")?;
         self.check_size(at(&path), rgb.size())?;
         Ok(Frame {
             id: FrameId(u32::try_from(i).unwrap_or(u32::MAX)), // lists hold at most a million
@@ -373,17 +370,26 @@ impl Inner {
             })
     }
 
-    /// Size of the depth image of frame i, where colour is scaled down to it.
-    fn depth_size(&self, i: usize) -> Option<(usize, usize)> {
-        let depth = &self.pairs[i].depth.file;
-        let path = self.source.locate(depth);
+    /// Size of frame i by those of its images: that of depth, where a larger colour image is scaled down to it.
+    fn frame_size(
+        &self,
+        i: usize,
+        colour: (usize, usize),
+        depth: (usize, usize),
+    ) -> Result<(usize, usize), DatasetError> {
+        const REFERENCE: &str = "the colour image, which is scaled down to depth of the same proportions; export both at one size";
+        if !self.layout.scales_colour() {
+            return Ok(colour);
+        }
+        if decode::can_shrink(colour, depth) {
+            return Ok(depth);
+        }
+        let path = self.source.locate(&self.pairs[i].depth.file);
         let origin = Origin {
             frame: Some(i),
             path: &path,
         };
-        let bytes = self.layout.scales_colour().then(|| self.source.read(depth));
-        let kind = decode::probe_colour(&bytes?.ok()??, origin).ok()?;
-        Some(kind.size)
+        origin.check_size(depth, colour, REFERENCE).map(|()| colour)
     }
 
     fn check_size(&self, origin: Origin<'_>, size: (usize, usize)) -> Result<(), DatasetError> {
@@ -407,14 +413,15 @@ impl Inner {
             let Ok(Some(bytes)) = self.source.read(file) else {
                 continue;
             };
-            let Ok(mut kind) = decode::probe_colour(&bytes, origin) else {
+            let Ok(kind) = decode::probe_colour(&bytes, origin) else {
                 continue;
             };
-            let scaled = self
-                .depth_size(i)
-                .filter(|to| decode::can_shrink(kind.size, *to));
-            kind.size = scaled.unwrap_or(kind.size);
-            if let Err(error) = self.check_size(origin, kind.size) {
+            let size = match image_size(&self.source, &self.pairs[i].depth.file) {
+                Ok(Some(depth)) => self.frame_size(i, kind.size, depth),
+                _ => Ok(kind.size),
+            };
+            let checked = size.and_then(|size| self.check_size(origin, size));
+            if let Err(error) = checked {
                 first_error.get_or_insert(error);
                 continue;
             }
@@ -501,16 +508,8 @@ fn select(path: &Path, pairs: Vec<Pair>, options: &OpenOptions) -> Result<Vec<Pa
 
 /// A layout's camera for images that are all scaled down to the size of the depth images.
 fn at_size_of_depth(calibration: Calibration, source: &Source, pairs: &[Pair]) -> Calibration {
-    let size = pairs.iter().take(FIRST_IMAGES).find_map(|pair| {
-        let path = source.locate(&pair.depth.file);
-        let origin = Origin {
-            frame: None,
-            path: &path,
-        };
-        let bytes = source.read(&pair.depth.file).ok().flatten()?;
-        let kind = decode::probe_colour(&bytes, origin).ok()?;
-        Some(kind.size)
-    });
+    let mut first = pairs.iter().take(FIRST_IMAGES);
+    let size = first.find_map(|pair| image_size(source, &pair.depth.file).ok().flatten());
     match size {
         Some(size) => layout::scale_to(calibration, size),
         None => calibration,

@@ -5,6 +5,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crate::archive::{Archive, depth_of};
+use crate::decode::{Origin, probe_colour};
 use crate::errors::DatasetError;
 use crate::files::read_file;
 use crate::layout::{self, Layout};
@@ -81,7 +82,10 @@ impl Source {
                 }
             }
         }
-        Err(not_a_recording("an archive without a recording".to_owned()))
+        Err(not_a_recording(
+            "an archive without a folder that holds rgb.txt and depth.txt, or another layout"
+                .to_owned(),
+        ))
     }
 
     fn enter(&mut self, folder: &str) {
@@ -210,6 +214,22 @@ impl Source {
             Self::Archive(archive) => archive.has_folder(name),
         }
     }
+}
+
+/// Size of an image by its header; `None` if it does not exist.
+pub(crate) fn image_size(
+    source: &Source,
+    file: &str,
+) -> Result<Option<(usize, usize)>, DatasetError> {
+    let path = source.locate(file);
+    let origin = Origin {
+        frame: None,
+        path: &path,
+    };
+    let bytes = source.read(file)?;
+    bytes
+        .map(|bytes| probe_colour(&bytes, origin).map(|kind| kind.size))
+        .transpose()
 }
 
 #[cfg(test)]

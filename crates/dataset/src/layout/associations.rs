@@ -47,7 +47,7 @@ fn icl_truth(source: &Source) -> Option<String> {
 
 impl Layout for Associations {
     fn name(&self) -> &'static str {
-        "list of pairs"
+        "ICL-NUIM or ORB-SLAM"
     }
 
     fn looked_for(&self) -> &'static str {

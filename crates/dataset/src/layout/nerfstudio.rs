@@ -12,12 +12,12 @@ use garad_core::{Camera, Se3, So3};
 use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 
-use super::series::{image_size, pair};
+use super::series::pair;
 use super::{Context, Layout, NumberedPose, Pair, Remarks, intrinsics, pose};
 use crate::calibration::Calibration;
 use crate::errors::{DatasetError, excerpt};
 use crate::files::{CLEAN_NAME, clean_name};
-use crate::source::Source;
+use crate::source::{Source, image_size};
 use crate::text::Place;
 
 const FILE: &str = "transforms.json";

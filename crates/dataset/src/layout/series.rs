@@ -3,11 +3,10 @@
 use std::collections::BTreeMap;
 
 use super::{Context, Pair, Remarks};
-use crate::decode::{Origin, probe_colour};
 use crate::errors::DatasetError;
 use crate::limits;
 use crate::list::Entry;
-use crate::source::Source;
+use crate::source::{Source, image_size};
 
 /// Endings of colour images.
 pub(super) const COLOUR_ENDINGS: &[&str] = &[".jpg", ".png", ".jpeg"];
@@ -62,22 +61,6 @@ impl Series {
             .next()
             .map_or(Ok(None), |file| image_size(source, file))
     }
-}
-
-/// Size of an image by its header; `None` if it does not exist.
-pub(super) fn image_size(
-    source: &Source,
-    file: &str,
-) -> Result<Option<(usize, usize)>, DatasetError> {
-    let path = source.locate(file);
-    let origin = Origin {
-        frame: None,
-        path: &path,
-    };
-    let bytes = source.read(file)?;
-    bytes
-        .map(|bytes| probe_colour(&bytes, origin).map(|kind| kind.size))
-        .transpose()
 }
 
 /// Frames of the numbers that both series have, at number / fps.

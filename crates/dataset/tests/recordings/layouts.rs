@@ -238,12 +238,12 @@ const BY_NUMBER: &str =
 
 #[rustfmt::skip]
 const CASES: [Case; 7] = [
-    Case { make: icl, layout: "list of pairs", source: "camera.txt", depth_factor: 1000.0, times_s: STEPS, delay_s: 0.0,
+    Case { make: icl, layout: "ICL-NUIM or ORB-SLAM", source: "camera.txt", depth_factor: 1000.0, times_s: STEPS, delay_s: 0.0,
         truth: &[0, 1, 2], warnings: &[], notes: &[
             "associations.txt: depth is in its first column, colour in its second",
             "associations.txt: times are frame numbers: frames are at (number - 4) / 30 s, the fps of the calibration",
             "livingRoom0.gt.freiburg: poses are reflected about the xz plane, as ICL-NUIM needs"] },
-    Case { make: orb_slam, layout: "list of pairs", source: "camera.txt", depth_factor: 1000.0, times_s: [1.0, 1.1, 1.2],
+    Case { make: orb_slam, layout: "ICL-NUIM or ORB-SLAM", source: "camera.txt", depth_factor: 1000.0, times_s: [1.0, 1.1, 1.2],
         delay_s: 0.005, truth: &[0, 1, 2], warnings: &[], notes: &[] },
     Case { make: replica, layout: "Replica, as NICE-SLAM ships it", source: "cam_params.json", depth_factor: 6553.5,
         times_s: STEPS, delay_s: 0.0, truth: &[0, 1, 2], warnings: &[], notes: &[BY_NUMBER] },
@@ -469,7 +469,7 @@ fn errors_have_file_line_and_what_was_expected() {
                 "rec: a folder without rgb.txt",
                 "rgb.txt and depth.txt (TUM or BONN)",
                 "associations.txt",
-                "traj",
+                "frame-000000.color.png and",
             ],
         ),
         (
@@ -716,7 +716,7 @@ fn what_is_taken_for_what() {
     folder.file("rgb.txt", "1.0 rgb/0.png\n");
     assert_eq!(
         folder.open().expect("good").layout(),
-        "list of pairs",
+        "ICL-NUIM or ORB-SLAM",
         "half of TUM"
     );
     folder.file("depth.txt", "1.0 depth/0.png\n");
