@@ -223,6 +223,6 @@ fn every_layout_runs_to_the_end() {
         let metrics = metrics(&out);
         assert_eq!(metrics["tracked"], FRAMES, "{layout}: {metrics}");
         let rmse_m = metrics["ate"]["rmse_m"].as_f64().expect("a true path");
-        assert!(rmse_m < 0.01, "{layout}: {rmse_m} m");
+        assert!(rmse_m < 0.005, "{layout}: {rmse_m} m");
     }
 }
