@@ -371,7 +371,11 @@ fn cameras_of_data_sets() {
         camera.cy,
         known.depth_factor,
     ];
-    assert_eq!(numbers, [585.0, 585.0, 320.0, 240.0, 1000.0], "7-Scenes");
+    assert_eq!(
+        format!("{numbers:?}"),
+        "[585.0, 585.0, 320.0, 240.0, 1000.0]",
+        "7-Scenes"
+    );
     assert_eq!(dataset.timestamp(0), Some(7.0 / 30.0), "its number");
     let frame = dataset.read(0).expect("good");
     assert_eq!(
@@ -396,7 +400,11 @@ fn cameras_of_data_sets() {
         camera.cy,
         known.depth_factor,
     ];
-    assert_eq!(numbers, [481.2, 480.0, 319.5, 239.5, 5000.0], "ICL-NUIM");
+    assert_eq!(
+        format!("{numbers:?}"),
+        "[481.2, 480.0, 319.5, 239.5, 5000.0]",
+        "ICL-NUIM"
+    );
 }
 
 /// Frames that the options leave out keep the numbers of the others.
@@ -631,7 +639,7 @@ fn errors_have_file_line_and_what_was_expected() {
 
 #[test]
 fn bad_poses_are_warnings_unless_strict() {
-    let cases: [(fn(&Folder), &str, &str, usize, &str); 5] = [
+    let cases: [(Damage, &str, &str, usize, &str); 5] = [
         (
             replica,
             "traj.txt",
@@ -738,6 +746,10 @@ fn scannet_by_its_colour_camera() {
     let dataset = folder.open().expect("good");
     let camera = &dataset.calibration().camera;
     let numbers = [camera.fx, camera.fy, camera.cx, camera.cy];
-    assert_eq!(numbers, [10.0, 12.0, 3.5, 1.75], "half of it");
+    assert_eq!(
+        format!("{numbers:?}"),
+        "[10.0, 12.0, 3.5, 1.75]",
+        "half of it"
+    );
     assert_eq!((camera.width, camera.height), (8, 6), "of depth");
 }
