@@ -40,6 +40,10 @@ pub(super) fn calibration(
         source,
     };
     camera.validate().map_err(invalid)?;
+    if !(depth_factor > 0.0 && depth_factor.is_finite()) {
+        let found = format!("{depth_factor} for the raw depth of a metre");
+        return Err(Place { path, line: 1 }.error(found, "a positive number"));
+    }
     let source = format!("file {}", path.display());
     Calibration::of_camera(camera, depth_factor, FPS, source)
 }

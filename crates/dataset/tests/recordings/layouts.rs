@@ -468,7 +468,7 @@ type Damage = fn(&Folder);
 
 #[test]
 fn errors_have_file_line_and_what_was_expected() {
-    let cases: [(&str, Damage, Damage, &[&str]); 17] = [
+    let cases: [(&str, Damage, Damage, &[&str]); 18] = [
         (
             "nothing",
             |f| f.file("x.txt", ""),
@@ -527,6 +527,15 @@ fn errors_have_file_line_and_what_was_expected() {
             r#"{"camera": {"w": 8, "h": 6, "fx": -1, "fy": 1, "cx": 3.5, "cy": 2.5, "scale": 1}}"#)
             },
             &["cam_params.json:1: camera fx is -1"],
+        ),
+        (
+            "unit of depth",
+            replica,
+            |f| {
+                f.file("cam_params.json",
+            r#"{"camera": {"w": 8, "h": 6, "fx": 1, "fy": 1, "cx": 3.5, "cy": 2.5, "scale": 0}}"#)
+            },
+            &["cam_params.json:1: found 0 for the raw depth of a metre"],
         ),
         (
             "numbers",
