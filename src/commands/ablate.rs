@@ -11,7 +11,7 @@ use super::{CommonArgs, Part, ProfileArgs};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Folder, .tgz, .tar or .zip in TUM or BONN layout, with ground truth.
+    /// Folder, .tgz, .tar or .zip of a recording, as `garad run` takes it, with ground truth.
     dataset: PathBuf,
     #[command(flatten)]
     profile: ProfileArgs,

@@ -12,7 +12,7 @@ use super::variants::{Table, Variant, compare};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Folder, .tgz, .tar or .zip in TUM or BONN layout.
+    /// Folder, .tgz, .tar or .zip of a recording, as `garad run` takes it.
     dataset: PathBuf,
     /// Profiles, in the order of the table; all unless given. A configuration file overrides each.
     #[arg(long, value_name = "NAME,...", value_delimiter = ',', value_parser = Profile::find)]

@@ -16,7 +16,8 @@ use super::{CommonArgs, ProfileArgs, input, say};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Folder, .tgz, .tar or .zip in TUM or BONN layout.
+    /// Folder, .tgz, .tar or .zip of a recording: TUM, BONN, ICL-NUIM, Replica, ScanNet, 7-Scenes, nerfstudio,
+    /// Polycam, Open3D.
     dataset: PathBuf,
     #[command(flatten)]
     profile: ProfileArgs,
@@ -57,11 +58,15 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let dataset = args.input.open(&args.dataset)?;
     if !run_options.quiet {
         say(&format!(
-            "{}: {} frames, camera from {}",
+            "{}: {} frames, layout {}, camera from {}",
             dataset.name(),
             dataset.len(),
+            dataset.layout(),
             dataset.calibration().source
         ))?;
+        for assumed in dataset.notes() {
+            note(&format!("note: {assumed}"));
+        }
     }
     let look = dataset.first_look(run_options.config.features.max_depth_m)?;
     let warnings = [dataset.warnings(), &look.warnings].concat();

@@ -28,7 +28,7 @@ pub(crate) struct Args {
 
 #[derive(Debug, clap::Args)]
 struct Record {
-    /// Folder, .tgz, .tar or .zip in TUM or BONN layout.
+    /// Folder, .tgz, .tar or .zip of a recording, as `garad run` takes it.
     #[arg(required = true)]
     dataset: Option<PathBuf>,
     /// Frames to record, first and last: `10..12`, or a single one. Earlier frames are run, later ones are

@@ -10,6 +10,7 @@ mod comparing;
 mod golden;
 mod judging;
 mod labelling;
+mod layouts;
 mod plausibility;
 mod rendering;
 mod results;

@@ -158,6 +158,25 @@ const ROW_SHORT: usize = 8;
 const ROW_LONG: usize = 13;
 
 impl Calibration {
+    /// A valid camera with depth in `depth_factor` a metre; what is missing follows the
+    /// [module's rule](self).
+    pub(crate) fn of_camera(
+        camera: Camera,
+        depth_factor: f64,
+        fps: f64,
+        source: String,
+    ) -> Result<Self, DatasetError> {
+        check_depth_factor(depth_factor)?;
+        Ok(Self {
+            camera,
+            depth_factor,
+            fps,
+            depth_max_raw: missing_by_rule(depth_factor),
+            depth_delay_s: 0.0,
+            source,
+        })
+    }
+
     /// Raw depth values from this one on are missing.
     #[must_use]
     pub fn missing_from(&self) -> u16 {
@@ -170,13 +189,7 @@ impl Calibration {
     /// # Errors
     /// [`DatasetError::Option`] for a factor that is not positive and finite.
     pub fn with_depth_factor(mut self, depth_factor: f64) -> Result<Self, DatasetError> {
-        if !(depth_factor > 0.0 && depth_factor.is_finite()) {
-            return Err(DatasetError::Option {
-                option: "depth_factor",
-                value: depth_factor.to_string(),
-                expected: "a positive number",
-            });
-        }
+        check_depth_factor(depth_factor)?;
         let given = self
             .depth_max_raw
             .filter(|raw| Some(*raw) != missing_by_rule(self.depth_factor));
@@ -282,6 +295,17 @@ impl Calibration {
             source: format!("file {}", path.display()),
         })
     }
+}
+
+fn check_depth_factor(depth_factor: f64) -> Result<(), DatasetError> {
+    if depth_factor > 0.0 && depth_factor.is_finite() {
+        return Ok(());
+    }
+    Err(DatasetError::Option {
+        option: "depth_factor",
+        value: depth_factor.to_string(),
+        expected: "a positive number",
+    })
 }
 
 /// Depth factor of recordings in millimetres.

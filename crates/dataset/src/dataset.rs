@@ -6,14 +6,13 @@ use std::sync::Arc;
 use garad_core::{DepthImage, FrameId, MaskImage, RgbImage, StampedPose};
 use image::ColorType;
 
-use crate::associate::{associate, closest_s};
 use crate::calibration::{Calibration, PRESETS, Preset};
 use crate::decode::{self, Origin};
 use crate::errors::DatasetError;
 use crate::files::{clean_name, read_file};
-use crate::list::{Entry, parse_list};
-use crate::source::Source;
-use crate::trajectory::{parse_leniently, parse_trajectory};
+use crate::layout::{self, Context, Layout, Pair, Remarks};
+use crate::list::Entry;
+use crate::source::{Source, image_size};
 
 /// Images whose size is compared with the camera's before the first frame.
 const FIRST_IMAGES: usize = 5;
@@ -93,17 +92,19 @@ struct Inner {
     name: String,
     preset: Option<Preset>,
     calibration: Calibration,
-    pairs: Vec<(Entry, Entry)>,
+    layout: &'static dyn Layout,
+    pairs: Vec<Pair>,
     ground_truth: Option<Vec<StampedPose>>,
-    warnings: Vec<String>,
+    remarks: Remarks,
 }
 
 impl Dataset {
     /// Opens a folder or an archive.
     ///
-    /// Colour and depth images are paired by time ([`associate`]); images without a partner are dropped
+    /// [`Dataset::layout`] tells how its files are arranged. TUM's colour and depth images are paired by time
+    /// ([`associate`](fn@crate::associate)), those of others by number; images without a partner are dropped
     /// and counted in the warnings. The camera comes from the first of: the calibration file of the
-    /// options; their preset; `camera.txt` or `calibration.toml` of the recording; the preset in the
+    /// options; their preset; `camera.txt` or `calibration.toml` of the recording; its layout; the preset in the
     /// name of the recording. [`Calibration::source`] tells which.
     ///
     /// # Errors
@@ -124,25 +125,36 @@ impl Dataset {
                 expected: "seconds, finite",
             });
         }
-        let source = Source::open(path)?;
+        let (source, layout) = Source::open(path)?;
         let name = source.name();
         let named = Preset::from_recording_name(&name);
-        let mut calibration = choose_calibration(path, &source, named, options)?;
+        let (mut calibration, of_layout) =
+            choose_calibration(path, &source, layout, named, options)?;
         if let Some(factor) = options.depth_factor {
             calibration = calibration.with_depth_factor(factor)?;
         }
-        let mut warnings = Vec::new();
-        let pairs = pair_up(path, &source, options, &mut warnings)?;
-        let ground_truth = read_ground_truth(&source, options.strict, &mut warnings)?;
+        let mut remarks = Remarks::default();
+        let context = Context {
+            path,
+            source: &source,
+            options,
+            fps: calibration.fps,
+        };
+        let pairs = select(path, layout.pairs(&context, &mut remarks)?, options)?;
+        let ground_truth = layout.truth(&context, &pairs, &mut remarks)?;
+        if of_layout && layout.scales_colour() {
+            calibration = at_size_of_depth(calibration, &source, &pairs);
+        }
         let dataset = Inner {
             path: path.to_path_buf(),
             source,
             name,
             preset: options.preset.or(named),
             calibration,
+            layout,
             pairs,
             ground_truth,
-            warnings,
+            remarks,
         };
         dataset.check_first().map(|inner| Self {
             inner: Arc::new(inner),
@@ -168,6 +180,12 @@ impl Dataset {
         &self.inner.calibration
     }
 
+    /// How its files are arranged, in words.
+    #[must_use]
+    pub fn layout(&self) -> &'static str {
+        self.inner.layout.name()
+    }
+
     /// Number of frames.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -183,10 +201,10 @@ impl Dataset {
     /// Time of frame i, seconds; `None` past the end.
     #[must_use]
     pub fn timestamp(&self, i: usize) -> Option<f64> {
-        self.inner.pairs.get(i).map(|(colour, _)| colour.t_s)
+        self.inner.pairs.get(i).map(|pair| pair.colour.t_s)
     }
 
-    /// The true trajectory as `groundtruth.txt` has it, if there is one. For BONN these are poses
+    /// The true trajectory as `groundtruth.txt` or its like has it, if there is one. For BONN these are poses
     /// of the marker body, see [`crate::bonn`].
     #[must_use]
     pub fn ground_truth(&self) -> Option<&[StampedPose]> {
@@ -196,7 +214,13 @@ impl Dataset {
     /// Warnings, one sentence each.
     #[must_use]
     pub fn warnings(&self) -> &[String] {
-        &self.inner.warnings
+        &self.inner.remarks.warnings
+    }
+
+    /// What was assumed, one sentence each: times of frames without stamps, for example.
+    #[must_use]
+    pub fn notes(&self) -> &[String] {
+        &self.inner.remarks.notes
     }
 
     /// Decodes frame i.
@@ -253,7 +277,7 @@ impl Dataset {
 }
 
 impl Inner {
-    fn pair(&self, i: usize) -> Result<&(Entry, Entry), DatasetError> {
+    fn pair(&self, i: usize) -> Result<&Pair, DatasetError> {
         self.pairs.get(i).ok_or_else(|| DatasetError::NoSuchFrame {
             path: self.path.clone(),
             frame: i,
@@ -263,7 +287,7 @@ impl Inner {
 
     /// Possible file names of the mask of frame i, which must exist; the preferred one first.
     fn mask_names(&self, i: usize) -> [String; 2] {
-        let colour = &self.pairs[i].0;
+        let colour = &self.pairs[i].colour;
         let stem = Path::new(&colour.file).file_stem().unwrap_or_default();
         [
             format!("{}.png", colour.stamp),
@@ -294,24 +318,33 @@ impl Inner {
     }
 
     fn read(&self, i: usize) -> Result<Frame, DatasetError> {
-        let (colour, depth) = self.pair(i)?;
+        let Pair { colour, depth, .. } = self.pair(i)?;
         let at = |path| Origin {
             frame: Some(i),
             path,
         };
+        let [rgb_list, depth_list] = self.layout.lists();
+        let scales = self.layout.scales_colour();
         let path = self.source.locate(&colour.file);
-        let rgb = decode::colour(&self.image_bytes(i, colour, "rgb.txt")?, at(&path))?;
-        self.check_size(at(&path), rgb.size())?;
+        let mut rgb = decode::colour(&self.image_bytes(i, colour, rgb_list)?, at(&path))?;
+        if !scales {
+            self.check_size(at(&path), rgb.size())?;
+        }
 
-        let path = self.source.locate(&depth.file);
+        let depth_path = self.source.locate(&depth.file);
         let depth_t_s = depth.t_s - self.calibration.depth_delay_s;
         let depth = decode::depth(
-            &self.image_bytes(i, depth, "depth.txt")?,
-            at(&path),
+            &self.image_bytes(i, depth, depth_list)?,
+            at(&depth_path),
             self.calibration.depth_factor,
             self.calibration.missing_from(),
         )?;
-        at(&path).check_size(depth.size(), rgb.size(), "the colour image")?;
+        let size = self.frame_size(i, rgb.size(), depth.size())?;
+        if size != rgb.size() {
+            rgb = decode::shrink(&rgb, size);
+        }
+        at(&depth_path).check_size(depth.size(), size, "the colour image")?;
+        self.check_size(at(&path), rgb.size())?;
         Ok(Frame {
             id: FrameId(u32::try_from(i).unwrap_or(u32::MAX)), // lists hold at most a million
             t_s: colour.t_s,
@@ -337,6 +370,28 @@ impl Inner {
             })
     }
 
+    /// Size of frame i by those of its images: that of depth, where a larger colour image is scaled down to it.
+    fn frame_size(
+        &self,
+        i: usize,
+        colour: (usize, usize),
+        depth: (usize, usize),
+    ) -> Result<(usize, usize), DatasetError> {
+        const REFERENCE: &str = "the colour image, which is scaled down to depth of the same proportions; export both at one size";
+        if !self.layout.scales_colour() {
+            return Ok(colour);
+        }
+        if decode::can_shrink(colour, depth) {
+            return Ok(depth);
+        }
+        let path = self.source.locate(&self.pairs[i].depth.file);
+        let origin = Origin {
+            frame: Some(i),
+            path: &path,
+        };
+        origin.check_size(depth, colour, REFERENCE).map(|()| colour)
+    }
+
     fn check_size(&self, origin: Origin<'_>, size: (usize, usize)) -> Result<(), DatasetError> {
         let camera = &self.calibration.camera;
         let reference = format!("the calibration ({})", self.calibration.source);
@@ -349,7 +404,7 @@ impl Inner {
     fn check_first(mut self) -> Result<Self, DatasetError> {
         let mut first_error = None;
         for i in 0..self.pairs.len().min(FIRST_IMAGES) {
-            let file = &self.pairs[i].0.file;
+            let file = &self.pairs[i].colour.file;
             let path = self.source.locate(file);
             let origin = Origin {
                 frame: Some(i),
@@ -361,7 +416,12 @@ impl Inner {
             let Ok(kind) = decode::probe_colour(&bytes, origin) else {
                 continue;
             };
-            if let Err(error) = self.check_size(origin, kind.size) {
+            let size = match image_size(&self.source, &self.pairs[i].depth.file) {
+                Ok(Some(depth)) => self.frame_size(i, kind.size, depth),
+                _ => Ok(kind.size),
+            };
+            let checked = size.and_then(|size| self.check_size(origin, size));
+            if let Err(error) = checked {
                 first_error.get_or_insert(error);
                 continue;
             }
@@ -373,86 +433,60 @@ impl Inner {
             };
             let kind = decode::describe(kind);
             let warning = format!("{}: {kind}; {conversion}", path.display());
-            self.warnings.push(warning);
+            self.remarks.warnings.push(warning);
             return Ok(self);
         }
         first_error.map_or(Ok(self), Err)
     }
 }
 
+/// The camera, and whether the layout says it.
 fn choose_calibration(
     path: &Path,
     source: &Source,
+    layout: &dyn Layout,
     named: Option<Preset>,
     options: &OpenOptions,
-) -> Result<Calibration, DatasetError> {
-    if let Some(file) = &options.calibration {
-        return Calibration::read(file);
+) -> Result<(Calibration, bool), DatasetError> {
+    if let Some(calibration) = given_calibration(source, options)? {
+        return Ok((calibration, false));
     }
-    if let Some(preset) = options.preset {
-        return Ok(preset.calibration());
-    }
-    for file in ["camera.txt", "calibration.toml"] {
-        if let Some(bytes) = source.read(file)? {
-            return Calibration::parse(&source.locate(file), &bytes);
-        }
+    if let Some(calibration) = layout.calibration(source)? {
+        return Ok((calibration, true));
     }
     let Some(preset) = named else {
         return Err(DatasetError::NoCalibration {
             path: path.to_path_buf(),
+            file: layout.camera_file(),
             presets: PRESETS,
         });
     };
     let mut calibration = preset.calibration();
     calibration.source = format!("preset {}, from the recording's name", preset.name());
-    Ok(calibration)
+    Ok((calibration, false))
 }
 
-/// Reads both lists and pairs them; drops the frames that the options exclude.
-fn pair_up(
-    path: &Path,
+/// The calibration of the options, or of a file of ours in the recording.
+fn given_calibration(
     source: &Source,
     options: &OpenOptions,
-    warnings: &mut Vec<String>,
-) -> Result<Vec<(Entry, Entry)>, DatasetError> {
-    let mut read_list = |name: &str| {
-        let bytes = source
-            .read(name)?
-            .ok_or_else(|| DatasetError::NotARecording {
-                path: path.to_path_buf(),
-                found: format!("no readable {name}"),
-            })?;
-        parse_list(&source.locate(name), &bytes, options.strict, warnings)
-    };
-    let colour = read_list("rgb.txt")?;
-    let mut depth = read_list("depth.txt")?;
-    for entry in &mut depth {
-        entry.t_s += options.depth_offset_s;
+) -> Result<Option<Calibration>, DatasetError> {
+    if let Some(file) = &options.calibration {
+        return Calibration::read(file).map(Some);
     }
-    let times = |list: &[Entry]| -> Vec<f64> { list.iter().map(|entry| entry.t_s).collect() };
-    let (colour_s, depth_s) = (times(&colour), times(&depth));
-    let pairs = associate(&colour_s, &depth_s, options.max_dt_s);
-    if pairs.is_empty() {
-        return Err(DatasetError::NoPairs {
-            path: path.to_path_buf(),
-            colour: colour.len(),
-            depth: depth.len(),
-            max_dt_s: options.max_dt_s,
-            closest_s: closest_s(&colour_s, &depth_s),
-        });
+    if let Some(preset) = options.preset {
+        return Ok(Some(preset.calibration()));
     }
-    let window_ms = options.max_dt_s * 1e3;
-    for (mine, total, other) in [
-        ("colour", colour.len(), "depth"),
-        ("depth", depth.len(), "colour"),
-    ] {
-        if total > pairs.len() {
-            warnings.push(format!(
-                "{} of {total} {mine} images have no {other} image of their own within {window_ms} ms",
-                total - pairs.len()
-            ));
+    for file in ["camera.txt", "calibration.toml"] {
+        if let Some(bytes) = source.read(file)? {
+            return Calibration::parse(&source.locate(file), &bytes).map(Some);
         }
     }
+    Ok(None)
+}
+
+/// The frames that the options leave.
+fn select(path: &Path, pairs: Vec<Pair>, options: &OpenOptions) -> Result<Vec<Pair>, DatasetError> {
     let first = options.first_frame;
     if first >= pairs.len() {
         return Err(DatasetError::NoSuchFrame {
@@ -469,41 +503,15 @@ fn pair_up(
         });
     }
     let count = options.max_frames.unwrap_or(usize::MAX);
-    Ok(pairs
-        .into_iter()
-        .skip(first)
-        .take(count)
-        .map(|(i, j)| (colour[i].clone(), depth[j].clone()))
-        .collect())
+    Ok(pairs.into_iter().skip(first).take(count).collect())
 }
 
-/// The true trajectory. It only judges: without `strict`, what cannot be read is a warning.
-fn read_ground_truth(
-    source: &Source,
-    strict: bool,
-    warnings: &mut Vec<String>,
-) -> Result<Option<Vec<StampedPose>>, DatasetError> {
-    const FILE: &str = "groundtruth.txt";
-    let path = source.locate(FILE);
-    let read = source.read(FILE).and_then(|bytes| {
-        let parse = |bytes: Vec<u8>| match strict {
-            true => parse_trajectory(&path, &bytes),
-            false => parse_leniently(&path, &bytes, warnings),
-        };
-        bytes.map(parse).transpose()
-    });
-    let poses = match read {
-        Ok(Some(poses)) => poses,
-        Ok(None) => return Ok(None),
-        Err(error) if strict => return Err(error),
-        Err(error) => {
-            warnings.push(format!("{error}; the path is not judged"));
-            return Ok(None);
-        }
-    };
-    if poses.is_empty() {
-        warnings.push(format!("{}: holds no pose", path.display()));
-        return Ok(None);
+/// A layout's camera for images that are all scaled down to the size of the depth images.
+fn at_size_of_depth(calibration: Calibration, source: &Source, pairs: &[Pair]) -> Calibration {
+    let mut first = pairs.iter().take(FIRST_IMAGES);
+    let size = first.find_map(|pair| image_size(source, &pair.depth.file).ok().flatten());
+    match size {
+        Some(size) => layout::scale_to(calibration, size),
+        None => calibration,
     }
-    Ok(Some(poses))
 }

@@ -113,6 +113,44 @@ pub(crate) fn probe_colour(bytes: &[u8], origin: Origin<'_>) -> Result<Kind, Dat
     decoder(bytes, origin, COLOUR).map(|(kind, _)| kind)
 }
 
+/// Whether an image is a depth image, by its header.
+pub(crate) fn is_depth(bytes: &[u8], origin: Origin<'_>) -> Result<bool, DatasetError> {
+    let kind = probe_colour(bytes, origin)?;
+    Ok(kind.format == ImageFormat::Png && kind.color == ColorType::L16)
+}
+
+/// Ratios of width and height of two images that are the same view may differ by this part, of 1296x968 and 640x480 by 0.4 %.
+const SAME_VIEW: f64 = 0.01;
+
+/// Whether an image of size `from` can be scaled down to `to`: no side is larger and the proportions are the same.
+pub(crate) fn can_shrink(from: (usize, usize), to: (usize, usize)) -> bool {
+    let [sx, sy] = [(to.0, from.0), (to.1, from.1)].map(|(to, from)| to as f64 / from as f64);
+    sx <= 1.0 && sy <= 1.0 && (sx / sy - 1.0).abs() <= SAME_VIEW
+}
+
+/// Colour scaled down to `size`, which [`can_shrink`] allows: each new pixel is the mean of the area it covers, in whole numbers.
+pub(crate) fn shrink(image: &RgbImage, size: (usize, usize)) -> RgbImage {
+    let (width, height) = image.size();
+    // The pixels that overlap new pixel i of n, with the overlap in parts of 1/n of a pixel.
+    let overlaps = |i: usize, new: usize, old: usize| {
+        let (start, end) = (i * old, (i + 1) * old);
+        (start / new..end.div_ceil(new))
+            .map(move |j| (j, end.min((j + 1) * new) - start.max(j * new)))
+    };
+    let area = (width * height) as u64;
+    RgbImage::from_fn(size.0, size.1, |x, y| {
+        let mut sums = [area / 2; 3]; // rounds half up
+        for (v, rows) in overlaps(y, size.1, height) {
+            for (u, columns) in overlaps(x, size.0, width) {
+                for (sum, value) in sums.iter_mut().zip(image[(u, v)]) {
+                    *sum += (rows * columns) as u64 * u64::from(value);
+                }
+            }
+        }
+        sums.map(|sum| u8::try_from(sum / area).expect("a mean of bytes"))
+    })
+}
+
 #[allow(
     clippy::cast_possible_truncation,
     reason = "total_bytes is at most IMAGE_DECODED_BYTES"
@@ -215,4 +253,37 @@ pub(crate) fn describe(kind: Kind) -> String {
         _ => "PNG",
     };
     format!("{bits}-bit {channels} {format}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Five columns to two: 0 1 and half of 2; half of 2, 3 and 4. Three rows to two alike.
+    #[test]
+    fn means_of_areas() {
+        let value = |x: usize, y: usize| u8::try_from(10 * x + 40 * y).expect("small");
+        let image = RgbImage::from_fn(5, 3, |x, y| [value(x, y), 7, 255 - value(x, y)]);
+        let small = shrink(&image, (2, 2));
+        // Columns (0 + 10 + 20/2) / 2.5 = 8, 32; rows (0 + 40/2) / 1.5 = 13.33, 66.67.
+        for ((x, y), mean) in [((0, 0), 21), ((1, 0), 45), ((0, 1), 75), ((1, 1), 99)] {
+            assert_eq!(small[(x, y)], [mean, 7, 255 - mean], "({x}, {y})");
+        }
+        assert_eq!(shrink(&image, (5, 3)), image, "nothing to do");
+    }
+
+    #[test]
+    fn what_can_be_scaled_down() {
+        for (from, to, can) in [
+            ((1296, 968), (640, 480), true),
+            ((640, 480), (640, 480), true),
+            ((640, 480), (639, 480), true),
+            ((640, 480), (641, 480), false),
+            ((640, 480), (640, 481), false),
+            ((1920, 1080), (640, 480), false),
+            ((480, 640), (320, 240), false),
+        ] {
+            assert_eq!(can_shrink(from, to), can, "{from:?} to {to:?}");
+        }
+    }
 }

@@ -35,7 +35,7 @@ pub enum DatasetError {
         expected: &'static str,
     },
     /// A folder or archive that is not a recording.
-    #[error("{}: {found}; expected a TUM or BONN recording, that is a folder with rgb.txt and depth.txt, or a .tgz, .tar.gz, .tar or .zip of one", path.display())]
+    #[error("{}: {found}; expected a recording, that is a folder with {}; or a .tgz, .tar.gz, .tar or .zip of one", path.display(), crate::layout::all_in_words())]
     NotARecording {
         /// The folder or archive.
         path: PathBuf,
@@ -113,10 +113,12 @@ pub enum DatasetError {
         expected: &'static str,
     },
     /// No calibration was found.
-    #[error("{}: camera unknown; expected --calibration FILE, --preset NAME ({presets}), a camera.txt in the recording, or one of those names in the recording's", path.display())]
+    #[error("{}: camera unknown; expected --calibration FILE, --preset NAME ({presets}), a camera.txt in the recording, {}or one of those names in the recording's", path.display(), also(file))]
     NoCalibration {
         /// The recording.
         path: PathBuf,
+        /// The file that its layout has a camera in; may be empty.
+        file: &'static str,
         /// Names of the presets.
         presets: &'static str,
     },
@@ -230,6 +232,13 @@ pub enum DatasetError {
         /// The first problem.
         problem: String,
     },
+}
+
+fn also(file: &str) -> String {
+    match file {
+        "" => String::new(),
+        file => format!("{file}, "),
+    }
 }
 
 fn frame_prefix(frame: Option<usize>) -> String {

@@ -1,10 +1,10 @@
-//! Readers of TUM and BONN RGB-D recordings (folders and archives), calibrations, trajectories and PLY
+//! Readers of RGB-D recordings in the layouts people have (folders and archives), calibrations, trajectories and PLY
 //! maps, and writers of the last two. No algorithms.
 //!
 //! ```text
-//! folder | .tgz | .tar | .zip ──source──► rgb.txt, depth.txt ──list──► associate ──► Dataset
-//!                                         camera.txt ──calibration──────────────────────┤
-//!                                         groundtruth.txt ──trajectory──────────────────┘
+//! folder | .tgz | .tar | .zip ──source──► layout ──► frames (TUM: rgb.txt, depth.txt ──list──► associate) ──► Dataset
+//!                                           │         camera.txt ──calibration────────────────────────────────┤
+//!                                           └──► its camera, its poses; groundtruth.txt ──trajectory──────────┘
 //! Dataset::read(i), frames(n) ──decode──► Frame (colour, depth in metres)
 //! Dataset::read_mask, read_own_mask ──decode──► true mask, if there is one
 //! ```
@@ -35,6 +35,7 @@ mod decode;
 mod errors;
 mod files;
 mod frames;
+mod layout;
 pub mod limits;
 mod list;
 pub mod plausibility;

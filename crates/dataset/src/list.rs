@@ -1,4 +1,4 @@
-//! Image lists: `rgb.txt` and `depth.txt`, lines `timestamp filename`.
+//! Image lists, lines `timestamp filename`.
 
 use std::path::Path;
 
@@ -39,11 +39,22 @@ pub(crate) fn parse_list(
     strict: bool,
     warnings: &mut Vec<String>,
 ) -> Result<Vec<Entry>, DatasetError> {
+    parse_entries(path, bytes, strict, warnings, parse_line)
+}
+
+/// [`parse_list`] for lines of another form, which `parse` turns into an entry.
+pub(crate) fn parse_entries(
+    path: &Path,
+    bytes: &[u8],
+    strict: bool,
+    warnings: &mut Vec<String>,
+    mut parse: impl FnMut(Place<'_>, &str) -> Result<Entry, DatasetError>,
+) -> Result<Vec<Entry>, DatasetError> {
     let mut entries: Vec<Entry> = Vec::new();
     let mut first_backward = None;
     let mut backward = 0;
     for_each_line(path, bytes, |place, text| {
-        let entry = parse_line(place, text)?;
+        let entry = parse(place, text)?;
         if let Some(last) = entries.last()
             && entry.t_s < last.t_s
         {
@@ -99,7 +110,8 @@ pub(crate) fn parse_list(
     Ok(entries)
 }
 
-fn parse_line(place: Place<'_>, text: &str) -> Result<Entry, DatasetError> {
+/// `timestamp filename`.
+pub(crate) fn parse_line(place: Place<'_>, text: &str) -> Result<Entry, DatasetError> {
     let mut fields = text.split_whitespace();
     let (Some(stamp), Some(file), None) = (fields.next(), fields.next(), fields.next()) else {
         return Err(place.error(excerpt(text), "`timestamp filename`"));

@@ -51,10 +51,15 @@ pub(super) fn entry_name(path: &Path, raw: &[u8]) -> Result<String, DatasetError
         })
 }
 
+/// Endings of lists, cameras, poses and images.
+const WANTED: [&str; 8] = [
+    "txt", "toml", "json", "log", "freiburg", "png", "jpg", "jpeg",
+];
+
 /// Whether a recording can refer to a file of this name.
 pub(super) fn is_wanted(name: &str) -> bool {
     let ending = name.rsplit('.').next().unwrap_or_default();
-    ["txt", "toml", "png", "jpg", "jpeg"]
+    WANTED
         .iter()
         .any(|wanted| ending.eq_ignore_ascii_case(wanted))
 }

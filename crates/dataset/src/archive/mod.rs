@@ -15,7 +15,7 @@ mod entry;
 mod tar_stream;
 mod zip_index;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -31,7 +31,7 @@ use crate::files::read_at_most;
 #[derive(Debug)]
 pub(crate) struct Archive {
     path: PathBuf,
-    /// Folder of `rgb.txt` inside, with a slash at its end; empty at the top.
+    /// Folder of the recording inside, with a slash at its end; empty at the top.
     root: String,
     files: BTreeMap<String, Stored>,
     zip: Option<Mutex<ZipArchive<BufReader<File>>>>,
@@ -40,8 +40,8 @@ pub(crate) struct Archive {
 impl Archive {
     /// # Errors
     /// [`DatasetError::Archive`], [`DatasetError::UnsafeName`], [`DatasetError::SpecialEntry`],
-    /// [`DatasetError::TooLarge`], and [`DatasetError::NotARecording`] unless exactly one
-    /// folder inside holds `rgb.txt` and `depth.txt`.
+    /// [`DatasetError::TooLarge`], and [`DatasetError::NotARecording`] for another kind of file.
+    /// [`Archive::enter`] then chooses the folder.
     pub(crate) fn open(path: &Path) -> Result<Self, DatasetError> {
         if !path.is_file() {
             return Err(DatasetError::NotARecording {
@@ -73,7 +73,7 @@ impl Archive {
             });
         };
         Ok(Self {
-            root: find_root(path, &files)?,
+            root: String::new(),
             path: path.to_path_buf(),
             files,
             zip,
@@ -98,6 +98,74 @@ impl Archive {
         self.path.join(format!("{}{name}", self.root))
     }
 
+    /// All folders inside, as [`Archive::enter`] takes them: those nearest to the top first.
+    pub(crate) fn folders(&self) -> Vec<String> {
+        let mut folders = BTreeSet::from([String::new()]);
+        for name in self.files.keys() {
+            let mut rest = name.as_str();
+            while let Some((folder, _)) = rest.rsplit_once('/') {
+                if !folders.insert(format!("{folder}/")) {
+                    break;
+                }
+                rest = folder;
+            }
+        }
+        let mut folders: Vec<String> = folders.into_iter().collect();
+        folders.sort_by_key(|folder| depth_of(folder));
+        folders
+    }
+
+    /// Takes the files of this folder for the recording.
+    pub(crate) fn enter(&mut self, folder: &str) {
+        folder.clone_into(&mut self.root);
+    }
+
+    /// Whether there is such a file.
+    pub(crate) fn has_file(&self, name: &str) -> bool {
+        self.files.contains_key(&format!("{}{name}", self.root))
+    }
+
+    /// Names of the files in a folder, without those below it; of the recording's own for an empty name.
+    pub(crate) fn files_in(&self, folder: &str) -> Vec<String> {
+        let start = match folder {
+            "" => self.root.clone(),
+            folder => format!("{}{folder}/", self.root),
+        };
+        let mut names = Vec::new();
+        let mut from = start.clone();
+        while let Some((file, _)) = self.files.range(from..).next() {
+            let Some(name) = file.strip_prefix(&start) else {
+                break;
+            };
+            from = match name.split_once('/') {
+                // Past everything below: `0` comes after `/`.
+                Some((below, _)) => format!("{start}{below}0"),
+                None => {
+                    names.push(name.to_owned());
+                    format!("{file}\0")
+                }
+            };
+        }
+        names
+    }
+
+    /// A file in the folder above the recording's.
+    pub(crate) fn read_above(
+        &self,
+        name: &str,
+    ) -> Result<Option<(PathBuf, Vec<u8>)>, DatasetError> {
+        let Some(folder) = self.root.strip_suffix('/') else {
+            return Ok(None);
+        };
+        let above = folder.rsplit_once('/').map_or("", |(above, _)| above);
+        let file = match above {
+            "" => name.to_owned(),
+            above => format!("{above}/{name}"),
+        };
+        let bytes = self.read_entry(&file)?;
+        Ok(bytes.map(|bytes| (self.path.join(file), bytes)))
+    }
+
     /// Whether there is a file in a folder of this name, or below it.
     pub(crate) fn has_folder(&self, name: &str) -> bool {
         let start = format!("{}{name}/", self.root);
@@ -109,14 +177,20 @@ impl Archive {
 
     /// The bytes of a file; `None` if it does not exist.
     pub(crate) fn read(&self, name: &str) -> Result<Option<Vec<u8>>, DatasetError> {
-        match self.files.get(&format!("{}{name}", self.root)) {
+        self.read_entry(&format!("{}{name}", self.root))
+    }
+
+    /// The bytes of the entry of this whole name.
+    fn read_entry(&self, name: &str) -> Result<Option<Vec<u8>>, DatasetError> {
+        let path = self.path.join(name);
+        match self.files.get(name) {
             None => Ok(None),
             Some(Stored::Memory(bytes)) => Ok(Some(bytes.clone())),
             Some(&Stored::Tar { offset, bytes }) => {
                 let mut file = File::open(&self.path).map_err(DatasetError::io(&self.path))?;
                 file.seek(SeekFrom::Start(offset))
                     .map_err(DatasetError::io(&self.path))?;
-                read_at_most(file.take(bytes), &self.locate(name)).map(Some)
+                read_at_most(file.take(bytes), &path).map(Some)
             }
             Some(&Stored::Zip { index }) => {
                 let zip = self
@@ -127,7 +201,7 @@ impl Archive {
                 let mut zip = zip.lock().unwrap_or_else(PoisonError::into_inner);
                 let entry = zip.by_index(index).map_err(|e| broken(&self.path, e))?;
                 let packed = entry.compressed_size();
-                let bytes = read_at_most(entry, &self.locate(name))?;
+                let bytes = read_at_most(entry, &path)?;
                 check_ratio(&self.path, bytes.len() as u64, packed)?;
                 Ok(Some(bytes))
             }
@@ -135,26 +209,7 @@ impl Archive {
     }
 }
 
-/// The folder with both lists, nearest to the top.
-fn find_root(path: &Path, files: &BTreeMap<String, Stored>) -> Result<String, DatasetError> {
-    let not_a_recording = |found: String| DatasetError::NotARecording {
-        path: path.to_path_buf(),
-        found,
-    };
-    let mut roots: Vec<&str> = files
-        .keys()
-        .filter_map(|name| name.strip_suffix("rgb.txt"))
-        .filter(|root| root.is_empty() || root.ends_with('/'))
-        .filter(|root| files.contains_key(&format!("{root}depth.txt")))
-        .collect();
-    roots.sort_by_key(|root| root.matches('/').count());
-    match roots[..] {
-        [] => Err(not_a_recording(
-            "an archive without a folder that holds rgb.txt and depth.txt".to_owned(),
-        )),
-        [a, b, ..] if a.matches('/').count() == b.matches('/').count() => Err(not_a_recording(
-            format!("an archive of several recordings, {a} and {b}"),
-        )),
-        [root, ..] => Ok(root.to_owned()),
-    }
+/// Folders between this one, with a slash at its end, and the top.
+pub(crate) fn depth_of(folder: &str) -> usize {
+    folder.matches('/').count()
 }

@@ -5,3 +5,4 @@ mod fixture;
 mod folders;
 mod frames;
 mod images;
+mod layouts;
