@@ -503,10 +503,10 @@ fn compressed_files_are_unpacked() {
             .collect::<String>()
     );
     let position = (5u32 << 21) | (6 << 11) | 7;
-    let scale = (2047u32 << 21) | (0 << 11) | 2047;
+    let scale = (2047u32 << 21) | 2047;
     // The largest is y; w is 1/sqrt 2, x and z are nearly 0.
     let rotation = (2u32 << 30) | (1023 << 20) | (511 << 10) | 512;
-    let color = (255u32 << 24) | (0 << 16) | (51 << 8) | 255;
+    let color = (255u32 << 24) | (51 << 8) | 255;
     let file = format!(
         "{header}0 0 0 2047 1023 2047 -8 -7 -6 -4 -3 -2\n{position} {rotation} {scale} {color}\n0 0 0 0\n\
          0 255 128 1 2 3 4 5 6\n0 0 0 0 0 0 0 0 0\n"
