@@ -18,6 +18,7 @@ use garad_dataset::{write_atomically, write_bytes_atomically};
 use garad_slam::session::{FORMAT, PROGRAM};
 use serde::{Deserialize, Serialize};
 
+use crate::output::{make_folder, try_folder};
 use crate::recording::Recording;
 use crate::run::Run;
 
@@ -58,10 +59,9 @@ pub struct Header {
 /// session.
 ///
 /// # Errors
-/// A folder that holds other files, or cannot be made.
+/// A folder that holds other files, or cannot be made or written.
 pub fn prepare(folder: &Path) -> Result<()> {
-    fs::create_dir_all(folder)
-        .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
+    make_folder(folder)?;
     let mut entries = fs::read_dir(folder)
         .with_context(|| format!("{}: cannot read the folder", folder.display()))?;
     if entries.next().is_some() && header(folder).is_err() {
@@ -70,7 +70,7 @@ pub fn prepare(folder: &Path) -> Result<()> {
             folder.display()
         );
     }
-    Ok(())
+    try_folder(folder)
 }
 
 /// Writes the state of a run, in place of an older one.

@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use crate::errors::DatasetError;
 
 /// Writes a file under a temporary name in the same folder, then renames it: a reader sees the old
-/// content or the new, never a part of it, also when the disk fills up or the run is stopped.
+/// content or the new, never a part of it, also when the disk fills up or the run is stopped. A device or a
+/// pipe, such as `/dev/stdout`, is not replaced but written to.
 ///
 /// # Errors
 /// [`DatasetError::Io`] from the file system or from `write`; nothing is left behind then.
@@ -17,6 +18,10 @@ pub fn write_atomically(
     write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<(), DatasetError> {
     let attempt = || {
+        if fs::metadata(path).is_ok_and(|there| !there.is_file() && !there.is_dir()) {
+            let mut out = BufWriter::new(File::options().write(true).open(path)?);
+            return write(&mut out).and_then(|()| out.flush());
+        }
         let temporary = temporary_name(path)?;
         let mut out = BufWriter::new(File::create(&temporary)?);
         let written = write(&mut out)

@@ -2,6 +2,8 @@
 
 mod common;
 
+use std::ops::ControlFlow;
+
 use garad_core::{Par, StampedPose};
 use garad_raster::{RenderOptions, render};
 use garad_slam::{Config, Slam};
@@ -41,8 +43,11 @@ fn run(scene: &Scene, config: Config, par: Par) -> (Slam, Vec<f32>) {
         process(&mut slam, &frame, None);
     }
     let mut losses = Vec::new();
-    slam.train_final(&mut |step| losses.push(step.loss))
-        .expect("trains");
+    slam.train_final(&mut |step| {
+        losses.push(step.loss);
+        ControlFlow::Continue(())
+    })
+    .expect("trains");
     (slam, losses)
 }
 
