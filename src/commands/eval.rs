@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::{Args, Subcommand, ValueEnum};
 use garad_dataset::write_bytes_atomically;
 use garad_eval::plot::{trajectory_panel, widest_planes};

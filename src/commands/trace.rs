@@ -113,8 +113,8 @@ fn record(args: &Record) -> Result<()> {
         .as_ref()
         .map(|dir| Masks::find(&dataset, path, dir))
         .transpose()?;
-    check_empty(out)?;
     let folder = ResultFolder::open(out, "trace")?;
+    check_empty(out)?;
     let calibration = dataset.calibration();
     let camera = &calibration.camera;
     let source = frames(&dataset, oracle.as_ref(), None);

@@ -35,7 +35,8 @@ use crate::images;
 use crate::run::RunResult;
 
 /// Writes everything a run left, and removes what an earlier run left there. Each file is complete or
-/// absent; one that cannot be written keeps no other from being written. A map with a number that is not
+/// absent; one that cannot be written keeps no other from being written, and the most important come first.
+/// A map with a number that is not
 /// finite is not written.
 ///
 /// # Errors
@@ -64,7 +65,6 @@ pub fn write(
     out.write("map.ply", |path| {
         Ok(write_ply(path, &map, &PlyOptions::default())?)
     });
-    write_labels(&mut out, result);
     let mut moments = Vec::new();
     for snapshot in &result.log.snapshots {
         match Moment::draw(result, snapshot) {
@@ -72,12 +72,13 @@ pub fn write(
             Err(error) => out.fail(&format!("pictures/{:06}", snapshot.frame), error),
         }
     }
+    let report = report(result, judged, warnings, &config, &moments);
+    out.bytes("report.html", report.as_bytes());
+    write_labels(&mut out, result);
     for (file, image) in moments.iter().flat_map(Moment::images) {
         let name = format!("pictures/{file}");
         out.write(&name, |path| images::save_png(path, image));
     }
-    let report = report(result, judged, warnings, &config, &moments);
-    out.bytes("report.html", report.as_bytes());
     out.finish()
 }
 
