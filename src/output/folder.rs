@@ -6,7 +6,7 @@ use std::io::{ErrorKind, Write as _};
 use std::path::{Component, Path, PathBuf};
 
 use anyhow::{Context, Error, Result, bail};
-use garad_dataset::write_bytes_atomically;
+use garad_dataset::{temporary_of, write_bytes_atomically};
 
 use crate::reason::reason;
 
@@ -207,6 +207,9 @@ impl ResultFolder {
             self.remove(&name);
             self.listed.remove(&name);
         }
+        for path in temporaries(&self.root, &self.listed) {
+            fs::remove_file(path)?;
+        }
         write_list(&self.root, &self.listed)?;
         let list = File::options().append(true).open(self.root.join(LIST))?;
         self.list = Some(list);
@@ -340,6 +343,36 @@ fn remove(root: &Path, name: &str) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// What a program that was killed left of listed files. Where it cannot be known that the program no longer
+/// runs, there are none.
+fn temporaries(root: &Path, listed: &BTreeMap<String, String>) -> Vec<PathBuf> {
+    let processes = Path::new("/proc");
+    if !processes.join("self").exists() {
+        return Vec::new();
+    }
+    let folders = listed.keys().filter_map(|name| Path::new(name).parent());
+    let folders: BTreeSet<&Path> = folders.collect();
+    let mut found = Vec::new();
+    for folder in folders {
+        let entries = fs::read_dir(root.join(folder)).into_iter().flatten();
+        for name in entries.flatten().map(|entry| entry.file_name()) {
+            let Some((file, process)) = name.to_str().and_then(temporary_of) else {
+                continue;
+            };
+            let ours = folder
+                .join(file)
+                .to_str()
+                .is_some_and(|name| listed.contains_key(name));
+            let left = folder.join(&name);
+            let path = left.to_str().and_then(|left| plain(root, left));
+            if ours && !processes.join(process.to_string()).exists() {
+                found.extend(path);
+            }
+        }
+    }
+    found
 }
 
 #[cfg(test)]

@@ -48,6 +48,14 @@ fn temporary_name(path: &Path) -> io::Result<PathBuf> {
     Ok(path.with_file_name(hidden))
 }
 
+/// Of the name of a temporary file of [`write_atomically`]: the name of the file it was to become, and the
+/// process that wrote it.
+#[must_use]
+pub fn temporary_of(name: &str) -> Option<(&str, u32)> {
+    let (file, process) = name.strip_prefix('.')?.rsplit_once(".part")?;
+    Some((file, process.parse().ok()?))
+}
+
 /// All bytes to one file; see [`write_atomically`].
 ///
 /// # Errors
@@ -79,6 +87,17 @@ mod tests {
         assert_eq!(fs::read(&path).expect("there"), b"new", "replaced");
         let left = fs::read_dir(folder.path()).expect("listed").count();
         assert_eq!(left, 1, "nothing else is left behind");
+    }
+
+    #[test]
+    fn names_of_temporary_files() {
+        let temporary = temporary_name(Path::new("out/map.ply")).expect("a name");
+        let name = temporary.file_name().and_then(|name| name.to_str());
+        let expected = Some(("map.ply", std::process::id()));
+        assert_eq!(temporary_of(name.expect("UTF-8")), expected, "read back");
+        for other in ["map.ply", "map.ply.part7", ".map.ply", ".map.ply.partial"] {
+            assert_eq!(temporary_of(other), None, "{other}");
+        }
     }
 
     #[test]

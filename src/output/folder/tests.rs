@@ -118,6 +118,31 @@ fn with_settings_another_set_is_removed_first() {
     assert_eq!(names(root), ["rgb/0.png"], "another one");
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn what_a_killed_program_left_of_a_file_is_removed() {
+    let out = folder();
+    let root = out.path();
+    drop({
+        let mut killed = ResultFolder::open(root, "run").expect("tried");
+        killed.bytes("labels/a", b"");
+        killed
+    });
+    // The largest number of a process on Linux is 2^22.
+    let (nobody, running) = (4_194_305, std::process::id());
+    for (file, process) in [("a", nobody), ("a", running), ("b", nobody)] {
+        fs::write(root.join(format!("labels/.{file}.part{process}")), "half").expect("written");
+    }
+    written(root, "run", &["c"]).expect("written");
+    let left = ["labels/.a.part", "labels/.b.part"];
+    let left = [
+        "c".to_owned(),
+        format!("{}{running}", left[0]),
+        format!("{}{nobody}", left[1]),
+    ];
+    assert_eq!(names(root), left, "of a running program, or not listed");
+}
+
 /// Entries of the list that garad would not write remove nothing.
 #[test]
 fn a_list_that_was_changed_removes_nothing_elsewhere() {
