@@ -18,6 +18,14 @@ static ASKED: AtomicBool = AtomicBool::new(false);
 #[error("{0}")]
 pub struct Interrupted(pub String);
 
+impl Interrupted {
+    /// Before there was anything to write: what an earlier run wrote stays.
+    #[must_use]
+    pub fn before(what: &str) -> Self {
+        Self(format!("interrupted before {what}; nothing is written"))
+    }
+}
+
 /// From now on a signal sets [`asked`] instead of ending the program.
 ///
 /// # Errors

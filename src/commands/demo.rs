@@ -85,6 +85,9 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         });
         run::run(&camera, receiver.into_iter(), scene.len(), &options)
     })?;
+    if result.log.interrupted && result.done == 0 {
+        return Err(Interrupted::before("the first frame").into());
+    }
     let truth = Truth::exact(scene.trajectory());
     let judged = Judged::new(&name, &result, Some(&truth));
     let written = output::write(out, &result, &judged, &[]);

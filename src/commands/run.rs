@@ -98,8 +98,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let images = frames_from(run.done(), &dataset, oracle.as_ref(), judged_by);
     run.process(images, dataset.len());
     if interrupt::asked() && run.done() == resumed_after {
-        let what = "interrupted before the first frame; nothing is written".to_owned();
-        return Err(Interrupted(what).into());
+        return Err(Interrupted::before("the first frame").into());
     }
     let saved = match &args.save_session {
         Some(folder) => {

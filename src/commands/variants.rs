@@ -46,12 +46,6 @@ pub(crate) fn compare(
     mut out: ResultFolder,
 ) -> Result<()> {
     let path = out.path().to_path_buf();
-    for Variant { name, .. } in variants {
-        let folder = path.join(folder_name(name));
-        if folder.exists() {
-            try_folder(&folder)?;
-        }
-    }
     interrupt::listen()?;
     let limit_m = (variants.iter())
         .map(|variant| variant.options.config.features.max_depth_m)
@@ -79,8 +73,7 @@ pub(crate) fn compare(
         compared.push(one.unwrap_or_else(|error| Compared::failed(name, &error)));
     }
     if interrupted && complete == 0 {
-        let what = "interrupted before a run was complete; nothing is written".to_owned();
-        return Err(Interrupted(what).into());
+        return Err(Interrupted::before("a run was complete").into());
     }
     let mut notes = vec![MEASURED.to_owned()];
     if let Some(truth) = input::truth(dataset, GroundTruth::Raw) {
@@ -124,6 +117,10 @@ fn run_one(
     options: &RunOptions,
     out: &mut ResultFolder,
 ) -> Result<Compared> {
+    let folder = out.path().join(folder_name(name));
+    if folder.exists() {
+        try_folder(&folder)?;
+    }
     let masks = Masks::of_recording(dataset);
     let camera = &dataset.calibration().camera;
     let images = || frames(dataset, None, masks.as_ref());
