@@ -92,6 +92,22 @@ fn training_makes_the_map_look_like_the_images() {
 }
 
 #[test]
+fn the_observer_can_end_the_training() {
+    let (mut slam, losses) = trained(&scene(), 5, Par::Seq);
+    assert_eq!(losses.len(), 5, "to its end");
+    let mut steps = 0;
+    slam.train_final(&mut |_| {
+        steps += 1;
+        match steps {
+            3 => ControlFlow::Break(()),
+            _ => ControlFlow::Continue(()),
+        }
+    })
+    .expect("trains");
+    assert_eq!(steps, 3, "after the third iteration");
+}
+
+#[test]
 fn any_number_of_threads_trains_the_same_map() {
     let scene = scene();
     let mut config = Config::default();
