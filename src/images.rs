@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use garad_core::{Image, RgbImage};
+use garad_dataset::write_bytes_atomically;
 use garad_raster::Rendered;
 use image::{ColorType, ImageEncoder, codecs::png::PngEncoder};
 
@@ -140,13 +141,12 @@ fn encode((width, height): (usize, usize), bytes: &[u8], color: ColorType) -> Re
     Ok(out.into_inner())
 }
 
-/// Writes a colour image as PNG.
+/// Writes a colour image as PNG, whole or not at all.
 ///
 /// # Errors
 /// A path that cannot be written.
 pub fn save_png(path: &Path, image: &RgbImage) -> Result<()> {
-    std::fs::write(path, png(image)?)
-        .with_context(|| format!("{}: cannot write the image", path.display()))
+    Ok(write_bytes_atomically(path, &png(image)?)?)
 }
 
 #[allow(

@@ -21,6 +21,7 @@ pub use garad_synth as synth;
 
 pub mod config_file;
 pub mod images;
+pub mod interrupt;
 pub mod output;
 pub mod packed_labels;
 pub mod profiles;

@@ -3,8 +3,8 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use garad::progress;
 use garad::reason::reason;
+use garad::{interrupt, progress};
 
 mod commands;
 
@@ -54,6 +54,8 @@ fn main() -> ExitCode {
         .with_target(false)
         .log_internal_errors(false)
         .init();
+    // Where it fails, such a signal ends the program, as without it.
+    let _ = interrupt::survive_file_size_limit();
     let outcome = match cli.command {
         Command::Demo(args) => commands::demo::run(&args),
         Command::Run(args) => commands::run::run(&args),
@@ -74,6 +76,10 @@ fn main() -> ExitCode {
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
+        Err(error) if error.is::<interrupt::Interrupted>() => {
+            progress::note(&reason(&error));
+            ExitCode::from(interrupt::EXIT_CODE)
+        }
         Err(error) => {
             progress::note(&format!("error: {}", reason(&error)));
             ExitCode::from(BAD_INPUT)

@@ -8,16 +8,18 @@
 //! A new state is written beside the old one; then `session.json` is replaced atomically and names the new
 //! one; then the old one is removed. After the first save the folder holds a complete session at any time.
 
+use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::{self, BufReader, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use garad_core::{Camera, GaussianMap};
-use garad_dataset::{write_atomically, write_bytes_atomically};
+use garad_dataset::{temporary_of, write_atomically, write_bytes_atomically};
 use garad_slam::session::{FORMAT, PROGRAM};
 use serde::{Deserialize, Serialize};
 
+use crate::output::{make_folder, try_folder};
 use crate::recording::Recording;
 use crate::run::Run;
 
@@ -58,19 +60,29 @@ pub struct Header {
 /// session.
 ///
 /// # Errors
-/// A folder that holds other files, or cannot be made.
+/// A folder that holds other files, or cannot be made or written.
 pub fn prepare(folder: &Path) -> Result<()> {
-    fs::create_dir_all(folder)
-        .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
+    make_folder(folder)?;
     let mut entries = fs::read_dir(folder)
         .with_context(|| format!("{}: cannot read the folder", folder.display()))?;
-    if entries.next().is_some() && header(folder).is_err() {
+    let other =
+        |entry: io::Result<fs::DirEntry>| !entry.is_ok_and(|e| is_unfinished(&e.file_name()));
+    if entries.any(other) && header(folder).is_err() {
         bail!(
             "{}: holds files but no session; expected a new folder, an empty one or an older session",
             folder.display()
         );
     }
-    Ok(())
+    try_folder(folder)
+}
+
+/// A file that a first save left behind which was cut off before it wrote the header.
+fn is_unfinished(name: &OsStr) -> bool {
+    let Some(name) = name.to_str() else {
+        return false;
+    };
+    let (file, temporary) = temporary_of(name).map_or((name, false), |(file, _)| (file, true));
+    STATES.contains(&file) || (temporary && file == HEADER)
 }
 
 /// Writes the state of a run, in place of an older one.

@@ -1,16 +1,17 @@
 //! [`record`] and [`write()`]: inputs and outputs of every stage of some frames, on disk.
 
 use std::ops::RangeInclusive;
-use std::path::Path;
 
 use anyhow::{Context, Result};
 use garad_core::{Camera, Par};
 use garad_golden::trace::{Entry, INDEX, Index, Role};
 use garad_golden::{Dtype, Tensor, npy};
 use garad_slam::trace::{TraceRecord, Values};
-use garad_slam::{Silent, Slam};
+use garad_slam::{Config, Silent, Slam};
 use serde_json::Value;
 
+use crate::config_file;
+use crate::output::ResultFolder;
 use crate::progress::Progress;
 use crate::reason::reason;
 use crate::run::RunOptions;
@@ -67,11 +68,16 @@ fn tensor(record: &TraceRecord) -> Option<Tensor> {
     Tensor::from_bytes(dtype, record.shape.clone(), bytes)
 }
 
-/// Writes the records into a folder, as `garad_golden::trace` describes. `about` describes the run.
+/// Writes the records and `config.toml` into a folder, as `garad_golden::trace` describes. `about` describes the run.
 ///
 /// # Errors
-/// A file that cannot be written.
-pub fn write(folder: &Path, records: &[TraceRecord], about: Value) -> Result<()> {
+/// Every file that cannot be written.
+pub fn write(
+    mut out: ResultFolder,
+    records: &[TraceRecord],
+    about: Value,
+    config: &Config,
+) -> Result<()> {
     let mut index = Index {
         schema: 1,
         about,
@@ -80,13 +86,7 @@ pub fn write(folder: &Path, records: &[TraceRecord], about: Value) -> Result<()>
     for record in records {
         let file = Entry::path_of(record.frame.0, record.stage, record.call, &record.tensor);
         let tensor = tensor(record).with_context(|| format!("{file}: shape and size disagree"))?;
-        let path = folder.join(&file);
-        if let Some(parent) = path.parent() {
-            std::fs::create_dir_all(parent)
-                .with_context(|| format!("{}: cannot make the folder", parent.display()))?;
-        }
-        std::fs::write(&path, npy::encode(&tensor))
-            .with_context(|| format!("{}: cannot write", path.display()))?;
+        out.bytes(&file, &npy::encode(&tensor));
         index.tensors.push(Entry {
             frame: record.frame.0,
             stage: record.stage.to_owned(),
@@ -102,9 +102,9 @@ pub fn write(folder: &Path, records: &[TraceRecord], about: Value) -> Result<()>
             file,
         });
     }
-    let path = folder.join(INDEX);
-    std::fs::write(&path, text(&index)?)
-        .with_context(|| format!("{}: cannot write", path.display()))
+    out.bytes(INDEX, text(&index)?.as_bytes());
+    out.bytes("config.toml", config_file::write(config)?.as_bytes());
+    out.finish()
 }
 
 /// The index with one line per tensor, so that it can be compared line by line.

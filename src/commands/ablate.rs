@@ -43,7 +43,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             args.dataset.display()
         );
     }
-    let out = (args.common).out_folder(&format!("ablate_{}", dataset.name()))?;
+    let out = (args.common).out_folder(&format!("ablate_{}", dataset.name()), "ablate")?;
     let without = ROWS.map(|part| {
         let mut options = full.clone();
         part.leave_out(&mut options.config);
@@ -72,5 +72,5 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             ),
         ],
     };
-    compare(&dataset, &variants, table, &out)
+    compare(&dataset, &variants, table, out)
 }

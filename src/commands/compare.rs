@@ -47,7 +47,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let dataset = args.input.open(&args.dataset)?;
     let out = args
         .common
-        .out_folder(&format!("compare_{}", dataset.name()))?;
+        .out_folder(&format!("compare_{}", dataset.name()), "compare")?;
     let published = published::rows(dataset.name());
     let mut notes = vec![NOT_RUN.to_owned()];
     if published.is_some() {
@@ -62,5 +62,5 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         published: published.unwrap_or_default(),
         notes,
     };
-    compare(&dataset, &variants, table, &out)
+    compare(&dataset, &variants, table, out)
 }

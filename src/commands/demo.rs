@@ -3,6 +3,7 @@
 use std::sync::mpsc::sync_channel;
 
 use anyhow::Result;
+use garad::interrupt::{self, Interrupted};
 use garad::output::{self, Judged, Truth};
 use garad::run;
 use garad::source::SourceFrame;
@@ -46,7 +47,9 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         ..SceneConfig::new(args.scene)
     })?;
     let name = format!("demo_{}", args.scene);
-    let out = args.common.out_folder(&name)?;
+    let out = args.common.out_folder(&name, "run")?;
+    let page = out.path().join("report.html");
+    interrupt::listen()?;
     if !options.quiet {
         let labels = if args.oracle_labels {
             "true labels of the scene"
@@ -82,11 +85,19 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         });
         run::run(&camera, receiver.into_iter(), scene.len(), &options)
     })?;
+    if result.log.interrupted && result.done == 0 {
+        return Err(Interrupted::before("the first frame").into());
+    }
     let truth = Truth::exact(scene.trajectory());
     let judged = Judged::new(&name, &result, Some(&truth));
-    output::write(&out, &result, &judged, &[])?;
+    let written = output::write(out, &result, &judged, &[]);
     for line in judged.summary() {
         say(&line)?;
     }
-    say(&format!("look at   {}", out.join("report.html").display()))
+    written?;
+    say(&format!("look at   {}", page.display()))?;
+    match result.interruption(scene.len()) {
+        Some(how) => Err(Interrupted(format!("{how}; results so far are written")).into()),
+        None => Ok(()),
+    }
 }

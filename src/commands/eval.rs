@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand, ValueEnum};
+use garad_dataset::write_bytes_atomically;
 use garad_eval::plot::{trajectory_panel, widest_planes};
 use garad_eval::{Alignment, Ate, AteOptions, RpeDelta, RpeOptions, Stats, ate, jitter, rpe};
 
@@ -90,8 +91,7 @@ fn trajectory(args: &TrajectoryArgs) -> Result<()> {
     if let Some(path) = &args.plot {
         let [plane, _] = widest_planes(&judged.points);
         let svg = trajectory_panel(&judged.points, plane, &[])?;
-        std::fs::write(path, svg)
-            .with_context(|| format!("{}: cannot write the plot", path.display()))?;
+        write_bytes_atomically(path, svg.as_bytes())?;
     }
     if args.json {
         let figures = serde_json::json!({

@@ -12,6 +12,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use garad::progress;
 use garad_conformance::port::{self, Ended, Job};
 use garad_conformance::{Outputs, Width};
+use garad_dataset::write_bytes_atomically;
 use garad_golden::answers::read_answers;
 use garad_golden::judge::judge;
 use garad_golden::verdict::{CaseVerdict, Outcome};
@@ -195,8 +196,7 @@ fn answer(args: &AnswerArgs) -> Result<ExitCode> {
     make_folder(&args.out)?;
     for (name, tensor) in outputs.tensors() {
         let path = args.out.join(format!("{name}.npy"));
-        std::fs::write(&path, npy::encode(tensor))
-            .with_context(|| format!("{}: cannot write", path.display()))?;
+        write_bytes_atomically(&path, &npy::encode(tensor))?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -219,7 +219,7 @@ fn check(args: &CheckArgs) -> Result<ExitCode> {
     let passed = !verdicts.iter().any(|v| v.fails(args.allow_missing));
     if let Some(path) = &args.json {
         let text = serde_json::to_string_pretty(&report::to_json(&verdicts, passed))?;
-        std::fs::write(path, text).with_context(|| format!("{}: cannot write", path.display()))?;
+        write_bytes_atomically(path, text.as_bytes())?;
     }
     say(report::table(&verdicts).trim_end())?;
     Ok(if passed {

@@ -21,6 +21,7 @@ use anyhow::{Context, Result, bail};
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
 use garad::config_file::{self, Layer};
+use garad::output::ResultFolder;
 pub(crate) use garad::output::make_folder;
 use garad::profiles::Profile;
 use garad::run::RunOptions;
@@ -164,12 +165,11 @@ fn threads() -> RangedU64ValueParser<usize> {
 }
 
 impl CommonArgs {
-    /// The folder for results, `out/NAME` unless given, made before the work.
-    pub(crate) fn out_folder(&self, name: &str) -> Result<PathBuf> {
+    /// The folder for results, `out/NAME` unless given, made and tried before the work.
+    pub(crate) fn out_folder(&self, name: &str, command: &str) -> Result<ResultFolder> {
         let default = || PathBuf::from("out").join(name);
         let out = self.out.clone().unwrap_or_else(default);
-        make_folder(&out)?;
-        Ok(out)
+        ResultFolder::open(&out, command)
     }
 
     /// Options of the run.

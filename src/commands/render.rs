@@ -5,13 +5,14 @@ use std::path::PathBuf;
 use anyhow::{Result, bail};
 use clap::ValueEnum;
 use garad::images;
+use garad::output::ResultFolder;
 use garad::progress::Progress;
 use garad_core::{Camera, Par, Se3, So3, StampedPose};
 use garad_dataset::{Calibration, Preset};
 use garad_raster::{Include, RenderOptions, fast};
 use nalgebra::Vector3;
 
-use super::{WorkArgs, make_folder, read_poses, say};
+use super::{WorkArgs, read_poses, say};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -85,7 +86,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let map = garad_dataset::read_ply(&args.map)?;
     let camera = camera(args)?;
     let poses = poses(args)?;
-    make_folder(&args.out)?;
+    let mut out = ResultFolder::open(&args.out, "render")?;
     let options = RenderOptions {
         include: match args.include {
             Which::All => Include::All,
@@ -114,11 +115,13 @@ pub(crate) fn run(args: &Args) -> Result<()> {
                     ("depth", images::depth_image(&depth, range))
                 }
             };
-            images::save_png(&args.out.join(format!("{i:06}_{name}.png")), &image)?;
+            let file = format!("{i:06}_{name}.png");
+            out.write(&file, |path| images::save_png(path, &image));
         }
         progress.step("");
     }
     progress.finish();
+    out.finish()?;
     if !args.work.quiet {
         let (n, count) = (map.len(), poses.len());
         say(&format!(

@@ -3,8 +3,10 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
+use garad::interrupt::{self, Interrupted};
 use garad::output::{self, Judged};
 use garad::progress::note;
+use garad::reason::reason;
 use garad::render_quality;
 use garad::run::{Run, RunOptions, why_untracked};
 use garad::session;
@@ -33,7 +35,7 @@ pub(crate) struct Args {
     /// are against those raw poses. RPE and jitter are of the camera either way.
     #[arg(long, value_enum, default_value_t = GroundTruth::Raw)]
     ground_truth: GroundTruth,
-    /// Save the complete state after the last frame, or after `--max-frames`, to be resumed.
+    /// Save the complete state after the last frame, after `--max-frames` or on Ctrl-C, to be resumed.
     #[arg(long, value_name = "DIR")]
     save_session: Option<PathBuf>,
     /// Resume a saved session after its last frame; the results are those of an uninterrupted run. All
@@ -68,11 +70,6 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             note(&format!("note: {assumed}"));
         }
     }
-    let look = dataset.first_look(run_options.config.features.max_depth_m)?;
-    let warnings = [dataset.warnings(), &look.warnings].concat();
-    for warning in &warnings {
-        note(&format!("warning: {warning}"));
-    }
     let oracle = args
         .oracle_labels
         .as_ref()
@@ -85,11 +82,19 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             args.dataset.display()
         );
     }
-    let out = args.common.out_folder(dataset.name())?;
+    let out = args.common.out_folder(dataset.name(), "run")?;
+    let out_path = out.path().display().to_string();
     if let Some(folder) = &args.save_session {
         session::prepare(folder)?;
     }
+    let look = dataset.first_look(run_options.config.features.max_depth_m)?;
+    let warnings = [dataset.warnings(), &look.warnings].concat();
+    for warning in &warnings {
+        note(&format!("warning: {warning}"));
+    }
+    interrupt::listen()?;
     let mut run = begin(args, &dataset, oracle.as_ref(), &run_options)?;
+    let resumed_after = run.done();
     if run.done() > 0 && !run_options.quiet {
         say(&format!("resumed after {} frames", run.done()))?;
     }
@@ -97,6 +102,9 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let judged_by = truth.as_ref().filter(|_| args.localise.is_none());
     let images = frames_from(run.done(), &dataset, oracle.as_ref(), judged_by);
     run.process(images, dataset.len());
+    if interrupt::asked() && run.done() == resumed_after {
+        return Err(Interrupted::before("the first frame").into());
+    }
     let saved = match &args.save_session {
         Some(folder) => {
             let recording = recording(&dataset, oracle.as_ref(), run.done());
@@ -104,22 +112,27 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         }
         None => Ok(()),
     };
-    let result = run.finish()?;
+    let mut result = run.finish()?;
 
     let path_truth = input::truth(&dataset, args.ground_truth);
     let mut judged = Judged::new(dataset.name(), &result, path_truth.as_ref());
-    if run_options.config.train.final_iterations > 0 {
+    if run_options.config.train.final_iterations > 0 && !result.log.interrupted {
+        let images = frames(&dataset, oracle.as_ref(), truth.as_ref());
         let quality = render_quality::judge(
             result.gaussians(),
             result.slam.camera(),
             &result.trajectory,
-            frames(&dataset, oracle.as_ref(), truth.as_ref()),
+            images.take_while(|_| !interrupt::asked()),
             Par::new(run_options.threads),
             run_options.quiet,
         )?;
-        judged.add_render(&quality);
+        // Means over a part of the frames are not comparable.
+        result.log.interrupted = interrupt::asked();
+        if !result.log.interrupted {
+            judged.add_render(&quality);
+        }
     }
-    output::write(&out, &result, &judged, &warnings)?;
+    let written = output::write(out, &result, &judged, &warnings);
     if result.log.stopped_by.is_none() {
         warn_of_skipped(&result.log.skipped);
     }
@@ -129,10 +142,27 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     for warning in &judged.warnings {
         note(&format!("warning: {warning}"));
     }
-    say(&format!("results in {}", out.display()))?;
-    saved.context("the session is not saved; results are written")?;
+    match (written, saved) {
+        (Err(written), Err(saved)) => {
+            let unsaved = format!("the session is not saved either: {}", reason(&saved));
+            bail!("{}; {unsaved}", reason(&written));
+        }
+        (Err(written), Ok(())) => return Err(written),
+        (Ok(()), saved) => {
+            say(&format!("results in {out_path}"))?;
+            saved.context("the session is not saved; results are written")?;
+        }
+    }
     if let Some(folder) = &args.save_session {
         say(&format!("session in {}", folder.display()))?;
+    }
+    if let Some(how) = result.interruption(dataset.len()) {
+        let more = match (&args.save_session, &args.localise) {
+            (Some(folder), _) => format!("; `--resume {}` continues it", folder.display()),
+            (None, None) => "; with --save-session DIR it could be resumed".to_owned(),
+            (None, Some(_)) => String::new(),
+        };
+        return Err(Interrupted(format!("{how}; results so far are written{more}")).into());
     }
     let nothing = (judged.metrics.tracked == 0)
         .then(|| why_untracked(&result, &look.depth, dataset.calibration()));

@@ -1,16 +1,16 @@
 //! `garad synth`: a synthetic dynamic scene as a recording in TUM layout, with masks and exact poses.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use garad::images::{png, png_gray, png_gray16};
+use garad::output::ResultFolder;
 use garad::progress::Progress;
 use garad_core::{DepthImage, Image, Par, StampedPose};
-use garad_dataset::write_bytes_atomically;
 use garad_golden::{Dtype, Tensor, npy};
 use garad_synth::{Scene, SceneConfig, SceneName};
 
-use super::{WorkArgs, make_folder, say};
+use super::{WorkArgs, say};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -63,7 +63,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     if args.fps > MAX_FPS {
         bail!("{} frames per second; expected at most {MAX_FPS}", args.fps);
     }
-    let scene = Scene::new(&SceneConfig {
+    let config = SceneConfig {
         frames: args.frames,
         width: args.size.0,
         height: args.size.1,
@@ -72,13 +72,11 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         static_twin: args.static_twin,
         seed: args.seed,
         ..SceneConfig::new(args.scene)
-    })?;
-    for folder in ["rgb", "depth", "mask"]
-        .iter()
-        .chain(args.flow.then_some(&"flow"))
-    {
-        make_folder(&args.out.join(folder))?;
-    }
+    };
+    let scene = Scene::new(&config)?;
+    // Files are written as they are drawn: those of another scene must be gone before.
+    let out = ResultFolder::open(&args.out, "synth")?;
+    let mut out = out.of(&format!("{config:?}, flow: {}", args.flow));
     let mut lists = Lists::default();
     let mut poses = Vec::new();
     let par = Par::new(args.work.threads);
@@ -87,14 +85,18 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         let frame = scene.frame(i, par);
         let stamp = format!("{:.6}", frame.t_s);
         lists.add(&stamp);
-        let write = |folder: &str, ending: &str, bytes: &[u8]| {
-            write_bytes_atomically(&args.out.join(format!("{folder}/{stamp}.{ending}")), bytes)
+        let mut write = |folder: &str, ending: &str, bytes: &[u8]| {
+            out.bytes(&format!("{folder}/{stamp}.{ending}"), bytes);
         };
-        write("rgb", "png", &png(&frame.rgb)?)?;
-        write("depth", "png", &png_gray16(&raw_depth(&frame.depth))?)?;
-        write("mask", "png", &png_gray(&frame.mask)?)?;
+        write("rgb", "png", &png(&frame.rgb)?);
+        write("depth", "png", &png_gray16(&raw_depth(&frame.depth))?);
+        write("mask", "png", &png_gray(&frame.mask)?);
         if args.flow && i + 1 < scene.len() {
-            write("flow", "npy", &flow_npy(&scene.flow(i, i + 1, par))?)?;
+            write("flow", "npy", &flow_npy(&scene.flow(i, i + 1, par))?);
+        }
+        if out.has_failed() {
+            // Without its lists it is no recording.
+            return out.finish();
         }
         poses.push(StampedPose {
             t_s: frame.t_s,
@@ -103,14 +105,17 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         progress.step("");
     }
     progress.finish();
-    lists.write(&args.out)?;
-    garad_dataset::write_trajectory(&args.out.join("groundtruth.txt"), &poses)?;
+    lists.write(&mut out);
+    out.write("groundtruth.txt", |path| {
+        Ok(garad_dataset::write_trajectory(path, &poses)?)
+    });
     let c = scene.camera();
     let camera = format!(
         "# width height fx fy cx cy depth_factor fps\n{} {} {} {} {} {} {DEPTH_FACTOR} {}\n",
         c.width, c.height, c.fx, c.fy, c.cx, c.cy, args.fps
     );
-    write_bytes_atomically(&args.out.join("camera.txt"), camera.as_bytes())?;
+    out.bytes("camera.txt", camera.as_bytes());
+    out.finish()?;
     if !args.work.quiet {
         let frames = scene.len();
         say(&format!(
@@ -135,15 +140,14 @@ impl Lists {
         self.depth += &format!("{stamp} depth/{stamp}.png\n");
     }
 
-    fn write(&self, out: &Path) -> Result<()> {
+    fn write(&self, out: &mut ResultFolder) {
         let rgb = format!("# timestamp filename\n{}", self.rgb);
         let depth = format!(
             "# timestamp filename, 16 bit, factor {DEPTH_FACTOR}\n{}",
             self.depth
         );
-        write_bytes_atomically(&out.join("rgb.txt"), rgb.as_bytes())?;
-        write_bytes_atomically(&out.join("depth.txt"), depth.as_bytes())?;
-        Ok(())
+        out.bytes("rgb.txt", rgb.as_bytes());
+        out.bytes("depth.txt", depth.as_bytes());
     }
 }
 

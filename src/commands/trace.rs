@@ -5,14 +5,15 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::str::FromStr;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
+use garad::output::ResultFolder;
 use garad::progress::note;
 use garad::trace;
 use garad_golden::trace::diff::{Judge, diff};
 use serde_json::json;
 
 use super::input::{InputArgs, Masks, frames};
-use super::{PipelineArgs, ProfileArgs, make_folder, say};
+use super::{PipelineArgs, ProfileArgs, say};
 
 /// Exit code when two traces differ.
 const DIFFER: u8 = 1;
@@ -112,8 +113,8 @@ fn record(args: &Record) -> Result<()> {
         .as_ref()
         .map(|dir| Masks::find(&dataset, path, dir))
         .transpose()?;
+    let folder = ResultFolder::open(out, "trace")?;
     check_empty(out)?;
-    make_folder(out)?;
     let calibration = dataset.calibration();
     let camera = &calibration.camera;
     let source = frames(&dataset, oracle.as_ref(), None);
@@ -134,10 +135,7 @@ fn record(args: &Record) -> Result<()> {
         },
         "config": "config.toml",
     });
-    trace::write(out, &records, about)?;
-    let path = out.join("config.toml");
-    let text = garad::config_file::write(&options.config)?;
-    std::fs::write(&path, text).with_context(|| format!("{}: cannot write", path.display()))?;
+    trace::write(folder, &records, about, &options.config)?;
     say(&format!(
         "{} tensors of frames {} to {} in {}",
         records.len(),

@@ -1,14 +1,12 @@
 //! Runs of one recording side by side: `STEM.md`, `STEM.json` and `STEM.html`.
 
-use std::collections::BTreeMap;
-use std::path::Path;
-
 use anyhow::Result;
 use garad_core::RgbImage;
 use garad_eval::report::{PictureRow, comparison_html};
 use garad_eval::{Comparison, Figures, Row};
+use std::collections::BTreeMap;
 
-use super::files::write_text;
+use super::folder::ResultFolder;
 use super::judged::Judged;
 use super::moments::Moment;
 use crate::reason::reason;
@@ -75,19 +73,20 @@ fn remark(result: &RunResult, judged: &Judged) -> String {
     }
 }
 
-/// Writes the table, with the pictures of all runs on its page.
+/// Writes the table, with the pictures of all runs on its page, and removes what an earlier comparison left
+/// there.
 ///
 /// # Errors
-/// A file that cannot be written.
+/// Every file that cannot be written.
 pub fn write_comparison(
-    out: &Path,
+    mut out: ResultFolder,
     stem: &str,
     comparison: &Comparison,
     compared: &[Compared],
 ) -> Result<()> {
-    let file = |extension: &str| out.join(format!("{stem}.{extension}"));
-    write_text(&file("md"), &comparison.markdown())?;
-    write_text(&file("json"), &comparison.to_json())?;
+    let file = |extension: &str| format!("{stem}.{extension}");
+    out.bytes(&file("md"), comparison.markdown().as_bytes());
+    out.bytes(&file("json"), comparison.to_json().as_bytes());
     let mut inputs = BTreeMap::new();
     for run in compared {
         inputs.extend(&run.inputs);
@@ -101,5 +100,7 @@ pub fn write_comparison(
         name: &run.row.name,
         pictures: frames.iter().map(|frame| run.views.get(frame)).collect(),
     }));
-    write_text(&file("html"), &comparison_html(comparison, &frames, &rows))
+    let page = comparison_html(comparison, &frames, &rows);
+    out.bytes(&file("html"), page.as_bytes());
+    out.finish()
 }

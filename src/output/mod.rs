@@ -11,14 +11,15 @@
 //! | `frames.csv` | per frame: state (tracking, weak, lost), keypoints, share that moves, inliers, keyframe; milliseconds of tracking and of waiting for the map, memory in use, processor time of all threads since the start (these are different on every run) |
 //! | `pictures/` | input, render, depth and keypoints of a few frames |
 //! | `config.toml` | every number as used |
+//! | `garad_files.txt` | the files of this list, so that the next run can replace them |
+//!
+//! A run that was interrupted, resumed, only localised or never tracked writes the same files.
 
 mod comparison;
-mod files;
+mod folder;
 mod judged;
 mod moments;
 mod tables;
-
-use std::path::Path;
 
 use anyhow::Result;
 use garad_core::Label;
@@ -27,66 +28,79 @@ use garad_eval::report::{FrameState, ReportData};
 use garad_slam::TrackingState;
 
 pub use self::comparison::{Compared, write_comparison};
-pub use self::files::make_folder;
-use self::files::write_text;
+pub use self::folder::{LIST, ResultFolder, make_folder, try_folder};
 pub use self::judged::{Judged, Truth};
 use self::moments::Moment;
 use crate::images;
 use crate::run::RunResult;
 
-/// Writes everything a run left. Each file is complete or absent; a map with a number that is not
-/// finite is not written, and keeps no other file from being written.
+/// Writes everything a run left, and removes what an earlier run left there. Each file is complete or
+/// absent; one that cannot be written keeps no other from being written, and the most important come first.
+/// A map with a number that is not
+/// finite is not written.
 ///
 /// # Errors
-/// A folder or file that cannot be written.
-pub fn write(out: &Path, result: &RunResult, judged: &Judged, warnings: &[String]) -> Result<()> {
-    let images_dir = out.join("pictures");
-    make_folder(&images_dir)?;
-    write_trajectory(&out.join("trajectory.txt"), &result.trajectory)?;
+/// Every file that cannot be written.
+pub fn write(
+    mut out: ResultFolder,
+    result: &RunResult,
+    judged: &Judged,
+    warnings: &[String],
+) -> Result<()> {
+    let config = crate::config_file::write(result.slam.config())?;
+    out.write("trajectory.txt", |path| {
+        Ok(write_trajectory(path, &result.trajectory)?)
+    });
     let keyframes = result.slam.keyframe_trajectory();
-    write_trajectory(&out.join("keyframes.txt"), &keyframes)?;
+    out.write("keyframes.txt", |path| {
+        Ok(write_trajectory(path, &keyframes)?)
+    });
+    out.bytes("frames.csv", tables::frames(result).as_bytes());
+    out.bytes("losses.csv", tables::losses(result).as_bytes());
+    out.bytes("metrics.json", judged.metrics.to_json().as_bytes());
+    out.bytes("config.toml", config.as_bytes());
     let mut map = result.gaussians().clone();
     let label = map.label.clone();
     map.retain(|i| label[i] == Label::Static);
-    let map_written = write_ply(&out.join("map.ply"), &map, &PlyOptions::default());
-    write_labels(&out.join("labels"), result)?;
-    write_text(&out.join("losses.csv"), &tables::losses(result))?;
-    write_text(&out.join("frames.csv"), &tables::frames(result))?;
-    let config = crate::config_file::write(result.slam.config())?;
-    write_text(&out.join("config.toml"), &config)?;
-    write_text(&out.join("metrics.json"), &judged.metrics.to_json())?;
-
-    let snapshots = result.log.snapshots.iter();
-    let moments: Vec<Moment<'_>> = snapshots
-        .map(|snapshot| Moment::draw(result, snapshot))
-        .collect::<Result<_>>()?;
-    for (file, image) in moments.iter().flat_map(Moment::images) {
-        images::save_png(&images_dir.join(file), image)?;
+    out.write("map.ply", |path| {
+        Ok(write_ply(path, &map, &PlyOptions::default())?)
+    });
+    let mut moments = Vec::new();
+    for snapshot in &result.log.snapshots {
+        match Moment::draw(result, snapshot) {
+            Ok(moment) => moments.push(moment),
+            Err(error) => out.fail(&format!("pictures/{:06}", snapshot.frame), error),
+        }
     }
     let report = report(result, judged, warnings, &config, &moments);
-    write_text(&out.join("report.html"), &report)?;
-    map_written?;
-    Ok(())
+    out.bytes("report.html", report.as_bytes());
+    write_labels(&mut out, result);
+    for (file, image) in moments.iter().flat_map(Moment::images) {
+        let name = format!("pictures/{file}");
+        out.write(&name, |path| images::save_png(path, image));
+    }
+    out.finish()
 }
 
 /// The labels of every labelled frame; no folder if there is none.
-fn write_labels(out: &Path, result: &RunResult) -> Result<()> {
+fn write_labels(out: &mut ResultFolder, result: &RunResult) {
     let found = &result.log.labels.found;
     if found.is_empty() {
-        return Ok(());
+        return;
     }
-    let masks = out.join("masks");
-    make_folder(&masks)?;
     for frame in found {
-        let png = images::png_gray(&frame.cells())?;
-        write_bytes_atomically(&masks.join(format!("{:06}.png", frame.frame.0)), &png)?;
+        let name = format!("labels/masks/{:06}.png", frame.frame.0);
+        out.write(&name, |path| {
+            let png = images::png_gray(&frame.cells())?;
+            Ok(write_bytes_atomically(path, &png)?)
+        });
     }
-    write_text(&out.join("keypoints.csv"), &tables::keypoints(result))?;
-    write_text(&out.join("gaussians.csv"), &tables::gaussians(result))?;
-    // An invalid map is reported once, where the static part is written.
-    let options = PlyOptions { label: true };
-    let _ = write_ply(&out.join("gaussians.ply"), result.gaussians(), &options);
-    Ok(())
+    out.bytes("labels/keypoints.csv", tables::keypoints(result).as_bytes());
+    out.bytes("labels/gaussians.csv", tables::gaussians(result).as_bytes());
+    out.write("labels/gaussians.ply", |path| {
+        let options = PlyOptions { label: true };
+        Ok(write_ply(path, result.gaussians(), &options)?)
+    });
 }
 
 fn report(

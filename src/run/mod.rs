@@ -5,6 +5,7 @@ pub mod snapshot;
 mod untracked;
 
 use std::io::{Read, Write};
+use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
@@ -16,7 +17,8 @@ use garad_slam::{Config, FrameReport, SessionError, Slam};
 use self::judge::LabelLog;
 use self::snapshot::Snapshot;
 pub use self::untracked::why_untracked;
-use crate::progress::Progress;
+use crate::interrupt;
+use crate::progress::{Progress, note};
 use crate::reason::reason;
 use crate::recording::Recording;
 use crate::source::SourceFrame;
@@ -59,6 +61,8 @@ pub struct RunLog {
     pub skipped: Vec<String>,
     /// The error that ended a strict run early.
     pub stopped_by: Option<anyhow::Error>,
+    /// Ended early by [`interrupt::asked`].
+    pub interrupted: bool,
     /// Durations per stage.
     pub stopwatch: Stopwatch,
     /// Images for the report.
@@ -78,6 +82,8 @@ pub struct RunResult {
     pub slam: Slam,
     /// Threads it ran on.
     pub threads: usize,
+    /// Frames of the recording that are done, skipped ones included.
+    pub done: usize,
     /// The path, one pose per tracked frame.
     pub trajectory: Vec<StampedPose>,
     /// Wall time of the run, seconds.
@@ -94,6 +100,15 @@ impl RunResult {
     #[must_use]
     pub fn gaussians(&self) -> &GaussianMap {
         self.slam.gaussians().expect("mapping has finished")
+    }
+
+    /// Where a run of `total` frames was interrupted, if it was.
+    #[must_use]
+    pub fn interruption(&self, total: usize) -> Option<String> {
+        self.log.interrupted.then(|| match self.done < total {
+            true => format!("interrupted after {} of {total} frames", self.done),
+            false => format!("interrupted after all {total} frames, in training or evaluation"),
+        })
     }
 }
 
@@ -242,13 +257,16 @@ impl Run {
 
     /// Takes the next frames through the system. `total` is the number of frames of the recording, those
     /// done before included. A frame that cannot be read is skipped and counted, or, if `strict`, ends
-    /// the run.
-    pub fn process(&mut self, frames: impl Iterator<Item = Result<SourceFrame>>, total: usize) {
+    /// the run, as an interrupt does.
+    pub fn process(&mut self, mut frames: impl Iterator<Item = Result<SourceFrame>>, total: usize) {
         let left = total.saturating_sub(self.done);
         let mut progress = Progress::new("tracking", left, self.options.quiet);
         let (slam, log) = (&mut self.slam, &mut self.log);
         let mut waiting = Instant::now();
-        for frame in frames {
+        while !log.interrupt_at(self.done < total) {
+            let Some(frame) = frames.next() else {
+                break;
+            };
             let i = self.done;
             self.done += 1;
             log.stopwatch.record("wait_for_frame", waiting.elapsed());
@@ -288,7 +306,7 @@ impl Run {
             options,
             mapping,
             mut log,
-            done: _,
+            done,
             begun,
             earlier_s,
         } = self;
@@ -303,6 +321,7 @@ impl Run {
             trajectory: slam.trajectory(),
             slam,
             threads: options.threads.max(1),
+            done,
             wall_s: earlier_s + begun.elapsed().as_secs_f64(),
             log,
         })
@@ -314,7 +333,8 @@ impl RunLog {
         let Self {
             frames,
             skipped,
-            stopped_by: _, // the frame is counted among those skipped
+            stopped_by: _,  // the frame is counted among those skipped
+            interrupted: _, // the part that follows is not
             stopwatch,
             snapshots: _, // of one part only
             labels,
@@ -337,6 +357,15 @@ impl RunLog {
             costs: from.take("costs")?,
             ..Self::default()
         })
+    }
+
+    /// Whether the run is to end here. It is interrupted only if there is work left.
+    fn interrupt_at(&mut self, work_left: bool) -> bool {
+        if work_left && !self.interrupted && interrupt::asked() {
+            self.interrupted = true;
+            note("interrupted: results so far are being written; once more to stop at once");
+        }
+        self.interrupted
     }
 
     fn process(&mut self, slam: &mut Slam, frame: &SourceFrame) -> Result<FrameReport> {
@@ -370,17 +399,20 @@ impl RunLog {
     /// `skipped`: the trajectory does not depend on it.
     fn train(&mut self, slam: &mut Slam, options: &RunOptions) {
         let iterations = options.config.train.final_iterations;
-        if iterations == 0 {
+        if iterations == 0 || self.interrupt_at(true) {
             return;
         }
         let mut progress = Progress::new("training", iterations, options.quiet);
         let mut begun = Instant::now();
-        let (stopwatch, refined) = (&mut self.stopwatch, &mut self.refined);
         let outcome = slam.train_final(&mut |step| {
-            stopwatch.record("refine", begun.elapsed());
-            refined.push(*step);
+            self.stopwatch.record("refine", begun.elapsed());
+            self.refined.push(*step);
             begun = Instant::now();
             progress.step(&format!("loss {:.4} at 1/{}", step.loss, 1 << step.level));
+            match self.interrupt_at(self.refined.len() < iterations) {
+                true => ControlFlow::Break(()),
+                false => ControlFlow::Continue(()),
+            }
         });
         progress.finish();
         if let Err(error) = outcome {

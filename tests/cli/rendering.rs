@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use garad_core::Real;
 use image::RgbImage;
 
-use crate::support::{Answer, Bench, arg, garad, long, run_into};
+use crate::support::{Answer, Bench, arg, files, garad, long, run_into};
 
 /// The map of [`long`], and the poses it was made with.
 pub(crate) fn mapped() -> Bench {
@@ -57,17 +57,12 @@ fn images_along_a_trajectory_and_from_a_pose() {
     let what = ["--what", "color", "--what", "depth", "--what", "opacity"];
     let trajectory = ["--trajectory", arg(&path), "--every", "13"];
     render(&map, &all, &[&what[..], &trajectory].concat()).succeeds();
-    let mut names: Vec<_> = fs::read_dir(&all)
-        .expect("images")
-        .map(|entry| {
-            entry
-                .expect("an entry")
-                .file_name()
-                .into_string()
-                .expect("UTF-8")
-        })
-        .collect();
-    names.sort();
+    let mut names: Vec<_> = files(&all).into_iter().collect();
+    assert_eq!(
+        names.pop().as_deref(),
+        Some("garad_files.txt"),
+        "their list"
+    );
     let expected: Vec<String> = (0..4)
         .flat_map(|i| ["color", "depth", "opacity"].map(|what| format!("{i:06}_{what}.png")))
         .collect();

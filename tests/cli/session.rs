@@ -287,6 +287,21 @@ fn folders_with_other_files_are_not_touched() {
     );
 }
 
+/// The program was killed in its first save, before the header.
+#[test]
+fn an_unfinished_session_is_overwritten() {
+    let bench = Bench::empty();
+    let session = own(&bench);
+    fs::remove_file(session.join("session.json")).expect("removed");
+    fs::write(session.join(".state-b.bin.part77"), "half").expect("written");
+    let options = ["--max-frames", "2", "--save-session", arg(&session)];
+    bench.run_on(short(), &options).succeeds();
+    assert!(session.join("session.json").exists(), "a session");
+    fs::write(session.join("session.json"), "{").expect("written");
+    let answer = bench.run_on(short(), &options);
+    answer.fails_with(&["holds files but no session"]);
+}
+
 #[test]
 fn a_failed_save_keeps_the_older_session() {
     let bench = Bench::empty();

@@ -1,5 +1,6 @@
 //! Running the program, and recordings to run it on.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -216,6 +217,38 @@ pub(crate) fn assert_same_results(a: &Path, b: &Path) {
 pub(crate) fn metrics(out: &Path) -> serde_json::Value {
     let text = fs::read_to_string(out.join("metrics.json")).expect("metrics.json");
     serde_json::from_str(&text).expect("JSON")
+}
+
+/// Names of all files below a folder, hidden ones included.
+pub(crate) fn files(folder: &Path) -> BTreeSet<String> {
+    let mut names = BTreeSet::new();
+    for entry in fs::read_dir(folder).expect("a folder") {
+        let entry = entry.expect("an entry");
+        let name = entry.file_name().into_string().expect("UTF-8");
+        if entry.path().is_dir() {
+            let below = files(&entry.path());
+            names.extend(below.iter().map(|below| format!("{name}/{below}")));
+        } else {
+            names.insert(name);
+        }
+    }
+    names
+}
+
+/// Rows of `frames.csv`, by column, without those that are different in every run.
+pub(crate) fn frame_rows(out: &Path) -> Vec<Vec<String>> {
+    let text = fs::read_to_string(out.join("frames.csv")).expect("frames.csv");
+    let mut lines = text.lines();
+    let header = lines.next().expect("a header");
+    let stable = "frame,t_s,state,keypoints,moving_share,inliers,keyframe";
+    assert!(header.starts_with(stable), "{header}");
+    let rows = lines.map(|line| line.split(',').map(str::to_owned).collect::<Vec<_>>());
+    rows.map(|mut row| {
+        assert_eq!(row.len(), 11, "{row:?}: a value in each column");
+        row.truncate(7);
+        row
+    })
+    .collect()
 }
 
 /// Copies a folder.

@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use crate::errors::DatasetError;
 
 /// Writes a file under a temporary name in the same folder, then renames it: a reader sees the old
-/// content or the new, never a part of it, also when the disk fills up or the run is stopped.
+/// content or the new, never a part of it, also when the disk fills up or the run is stopped. A device or a
+/// pipe, such as `/dev/stdout`, is not replaced but written to.
 ///
 /// # Errors
 /// [`DatasetError::Io`] from the file system or from `write`; nothing is left behind then.
@@ -17,6 +18,10 @@ pub fn write_atomically(
     write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<(), DatasetError> {
     let attempt = || {
+        if fs::metadata(path).is_ok_and(|there| !there.is_file() && !there.is_dir()) {
+            let mut out = BufWriter::new(File::options().write(true).open(path)?);
+            return write(&mut out).and_then(|()| out.flush());
+        }
         let temporary = temporary_name(path)?;
         let mut out = BufWriter::new(File::create(&temporary)?);
         let written = write(&mut out)
@@ -41,6 +46,14 @@ fn temporary_name(path: &Path) -> io::Result<PathBuf> {
     hidden.push(name);
     hidden.push(format!(".part{}", std::process::id()));
     Ok(path.with_file_name(hidden))
+}
+
+/// Of the name of a temporary file of [`write_atomically`]: the name of the file it was to become, and the
+/// process that wrote it.
+#[must_use]
+pub fn temporary_of(name: &str) -> Option<(&str, u32)> {
+    let (file, process) = name.strip_prefix('.')?.rsplit_once(".part")?;
+    Some((file, process.parse().ok()?))
 }
 
 /// All bytes to one file; see [`write_atomically`].
@@ -74,6 +87,17 @@ mod tests {
         assert_eq!(fs::read(&path).expect("there"), b"new", "replaced");
         let left = fs::read_dir(folder.path()).expect("listed").count();
         assert_eq!(left, 1, "nothing else is left behind");
+    }
+
+    #[test]
+    fn names_of_temporary_files() {
+        let temporary = temporary_name(Path::new("out/map.ply")).expect("a name");
+        let name = temporary.file_name().and_then(|name| name.to_str());
+        let expected = Some(("map.ply", std::process::id()));
+        assert_eq!(temporary_of(name.expect("UTF-8")), expected, "read back");
+        for other in ["map.ply", "map.ply.part7", ".map.ply", ".map.ply.partial"] {
+            assert_eq!(temporary_of(other), None, "{other}");
+        }
     }
 
     #[test]

@@ -45,7 +45,7 @@ mod text;
 pub mod trajectory;
 
 pub use associate::associate;
-pub use atomic::{write_atomically, write_bytes_atomically};
+pub use atomic::{temporary_of, write_atomically, write_bytes_atomically};
 pub use bonn::bonn_camera_from_marker;
 pub use calibration::{Calibration, Preset};
 pub use dataset::{Dataset, Frame, MASK_FOLDER, OpenOptions};

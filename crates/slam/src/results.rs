@@ -1,6 +1,6 @@
 //! What a run gives: its path, maps and labels, its trace, and the training after the last frame.
 
-use std::ops::RangeInclusive;
+use std::ops::{ControlFlow, RangeInclusive};
 
 use garad_core::{Camera, GaussianMap, StampedPose};
 
@@ -68,12 +68,15 @@ impl Slam {
     }
 
     /// Trains the map on the keyframes' images for `config.train.final_iterations` iterations, after
-    /// the last frame; `on_step` is told of each. Gaussians that have faded are pruned.
+    /// the last frame; `on_step` is told of each and may end them. Gaussians that have faded are pruned.
     ///
     /// # Errors
     /// [`SlamError::Train`]; the map is then as it was after the last good iteration.
     /// [`SlamError::MappingLost`].
-    pub fn train_final(&mut self, on_step: &mut dyn FnMut(&TrainStep)) -> Result<(), SlamError> {
+    pub fn train_final(
+        &mut self,
+        on_step: &mut dyn FnMut(&TrainStep) -> ControlFlow<()>,
+    ) -> Result<(), SlamError> {
         self.finish()?;
         let poses = self.map.keyframe_poses();
         let iterations = self.context.config.train.final_iterations;

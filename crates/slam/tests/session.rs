@@ -5,6 +5,7 @@
 
 mod common;
 
+use std::ops::ControlFlow;
 use std::sync::OnceLock;
 
 use garad_core::{DepthImage, GaussianMap, Par, RgbImage, StampedPose};
@@ -96,7 +97,8 @@ impl Outputs {
     fn end(mut self, mut slam: Slam) -> Outcome {
         self.go_on(&mut slam, FRAMES);
         let state = saved(&mut slam);
-        slam.train_final(&mut |_| ()).expect("trains");
+        slam.train_final(&mut |_| ControlFlow::Continue(()))
+            .expect("trains");
         Outcome {
             reports: self.reports,
             labels: self.labels,

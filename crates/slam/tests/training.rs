@@ -2,6 +2,8 @@
 
 mod common;
 
+use std::ops::ControlFlow;
+
 use garad_core::{Par, StampedPose};
 use garad_raster::{RenderOptions, render};
 use garad_slam::{Config, Slam};
@@ -41,8 +43,11 @@ fn run(scene: &Scene, config: Config, par: Par) -> (Slam, Vec<f32>) {
         process(&mut slam, &frame, None);
     }
     let mut losses = Vec::new();
-    slam.train_final(&mut |step| losses.push(step.loss))
-        .expect("trains");
+    slam.train_final(&mut |step| {
+        losses.push(step.loss);
+        ControlFlow::Continue(())
+    })
+    .expect("trains");
     (slam, losses)
 }
 
@@ -84,6 +89,22 @@ fn training_makes_the_map_look_like_the_images() {
         .expect("at rest")
         .validate()
         .expect("finite");
+}
+
+#[test]
+fn the_observer_can_end_the_training() {
+    let (mut slam, losses) = trained(&scene(), 5, Par::Seq);
+    assert_eq!(losses.len(), 5, "to its end");
+    let mut steps = 0;
+    slam.train_final(&mut |_| {
+        steps += 1;
+        match steps {
+            3 => ControlFlow::Break(()),
+            _ => ControlFlow::Continue(()),
+        }
+    })
+    .expect("trains");
+    assert_eq!(steps, 3, "after the third iteration");
 }
 
 #[test]

@@ -9,7 +9,7 @@
 //! ```
 
 use std::io::{Read, Write};
-use std::ops::RangeInclusive;
+use std::ops::{ControlFlow, RangeInclusive};
 use std::sync::Arc;
 
 use garad_core::{GaussianMap, Label, LandmarkId, Se3};
@@ -445,7 +445,8 @@ impl Mapper {
     }
 
     /// Trains for so many iterations on all keyframes after the last frame, then drops faded
-    /// Gaussians. `poses` are those of the keyframes at the end; `on_step` is told of each iteration.
+    /// Gaussians. `poses` are those of the keyframes at the end; `on_step` is told of each iteration
+    /// and may end them.
     /// Gaussians of any age are cloned and split, but in the first half only, so that the last ones
     /// are trained, too.
     ///
@@ -455,7 +456,7 @@ impl Mapper {
         &mut self,
         iterations: usize,
         poses: Vec<Se3>,
-        on_step: &mut dyn FnMut(&TrainStep),
+        on_step: &mut dyn FnMut(&TrainStep) -> ControlFlow<()>,
     ) -> Result<(), TrainError> {
         self.extent_m = extent_m(&poses);
         self.poses = poses;
@@ -466,8 +467,8 @@ impl Mapper {
         for i in 0..iterations {
             let densify = (2 * i < iterations).then_some(&of_any_age);
             match self.step(Pick::Shuffled, densify)? {
-                Some(step) => on_step(&step),
-                None => break,
+                Some(step) if on_step(&step).is_continue() => {}
+                _ => break,
             }
         }
         let min_opacity = self.context.config.densify.min_opacity;
