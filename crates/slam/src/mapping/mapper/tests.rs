@@ -1,5 +1,7 @@
 //! The mapper by hand: a few Gaussians, a few jobs.
 
+use std::ops::ControlFlow;
+
 use std::collections::BTreeSet;
 
 use Label::{Dynamic, Static};
@@ -353,7 +355,10 @@ fn density_control_of_the_final_training_is_for_all_and_ends_half_way() {
         mapper.run(of_a_wall(1, 0), &mut Silent);
         let mut counts = vec![48];
         let poses = vec![Se3::identity(); 2];
-        let done = mapper.train_final(iterations, poses, &mut |step| counts.push(step.gaussians));
+        let done = mapper.train_final(iterations, poses, &mut |step| {
+            counts.push(step.gaussians);
+            ControlFlow::Continue(())
+        });
         done.expect("trained");
         let grows: Vec<_> = counts.windows(2).map(|pair| pair[1] > pair[0]).collect();
         assert_eq!(grows, expected, "in the first half: {counts:?}");
@@ -365,7 +370,7 @@ fn density_control_of_the_final_training_is_for_all_and_ends_half_way() {
         config.densify.min_opacity = min_opacity;
         let mut mapper = mapper(config);
         mapper.run(of_a_wall(0, 0), &mut Silent);
-        let done = mapper.train_final(0, vec![Se3::identity()], &mut |_| ());
+        let done = mapper.train_final(0, vec![Se3::identity()], &mut |_| ControlFlow::Continue(()));
         done.expect("nothing to train");
         assert_eq!(mapper.gaussians.len(), left, "pruned below {min_opacity}");
     }
