@@ -157,9 +157,9 @@ fn the_trace_of_the_papers_loop_has_what_is_rare() {
         ("a culled keyframe", "cull", "culled", |v| v > 0.0),
         ("a dynamic landmark", "label_map", "label", |v| v > 0.0),
         (
-            "a dynamic Gaussian in view",
+            "a keypoint in the Gaussian mask",
             "gaussian_mask",
-            "label",
+            "in_mask",
             |v| v > 0.0,
         ),
         ("keypoints set static again", "restore", "keypoint", |_| {

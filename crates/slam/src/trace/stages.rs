@@ -506,7 +506,7 @@ impl StageRecord {
             self.output(format!("opacity_{l}"), "1", &row, opacity.data().to_vec());
             self.output(format!("depth_m_{l}"), "m", &row, depth.data().to_vec());
         }
-        self.output("label", "1", &[], moving(label));
+        self.output("in_mask", "1", &[], moving(label));
         let suspected = flags(suspected.iter().copied());
         self.output("suspected", "1", &[], suspected);
     }
