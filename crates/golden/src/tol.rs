@@ -224,6 +224,7 @@ pub const TABLE: &[Tolerance] = &[
     abs_rel("trace.residual", 1e-3, 1e-5, "1e-4 px and 1e-7 m over sigmas of 0.5 px and 3 mm"),
     abs_rel("trace.belief", 1e-3, 0.0, "log-odds of such precision through ten iterations"),
     vector("trace.flow", 1e-4, 1e-3, "as lk.xy; a covariance of some px, squared distances over it"),
+    abs_rel("trace.loop", 1e-5, 0.0, "rad, m: measured 2.7e-6 against scipy, where a step promises 1e-6 of the cost"),
     abs_rel("trace.cost", 0.0, 1e-3, "a sum of squares of residuals of 1e-4 px more or less"),
     Tolerance { name: "trace.means", class: Class::Banded { tight: 1e-4, share: 2e-2, hard: 3.2e-3 }, reason: "Adam's step is +-rate wherever a gradient is rounding alone: ten rates, five steps apart" },
     Tolerance { name: "trace.log_scales", class: Class::Banded { tight: 1e-4, share: 2e-2, hard: 5e-2 }, reason: "as trace.means" },

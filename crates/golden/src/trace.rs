@@ -174,6 +174,15 @@ const TOLERANCES: &[(&str, &str, &str)] = &[
     ("label", "log_odds", "trace.residual"), ("label", "belief", "trace.belief"),
     ("flow_lk", "starts", "lk.xy"), ("flow_lk", "xy", "lk.xy"), ("flow_lk", "residual", "lk.residual"),
     ("flow", "", "trace.flow"), ("flow", "inside", "exact"),
+    ("relocalise", "camera_from_world", "pose.pose"),
+    ("gaussian_mask", "camera_from_world", "pose.pose"), ("gaussian_mask", "p_world", "bundle.points"),
+    ("gaussian_mask", "opacity_0", "trace.image"), ("gaussian_mask", "depth_m_0", "trace.image"),
+    ("gaussian_mask", "opacity_1", "trace.image"), ("gaussian_mask", "depth_m_1", "trace.image"),
+    ("gaussian_mask", "opacity_2", "trace.image"), ("gaussian_mask", "depth_m_2", "trace.image"),
+    ("restore", "dynamic_uv_px", "lk.xy"),
+    ("loop", "located", "pose.pose"), ("loop", "a_from_b", "pose.pose"), ("loop", "poses_before", "pose.pose"),
+    ("loop", "poses_after", "trace.loop"), ("loop", "drift_m", "pose.pose"),
+    ("densify", "gradient", "trace.loss"), ("densify", "extent_m", "trace.residual"),
     ("match_local_map", "visible_uv_px", "lk.xy"),
     ("subpixel", "points", "lk.xy"), ("subpixel", "starts", "lk.xy"), ("subpixel", "xy", "lk.xy"),
     ("subpixel", "residual", "lk.residual"),
@@ -189,7 +198,17 @@ const TOLERANCES: &[(&str, &str, &str)] = &[
     ("train", "opacity", "trace.image"), ("train", "loss", "trace.loss"),
 ];
 
-/// Those of the Gaussians' parameters, before, while and after the map is trained.
+/// Stages with Gaussians, ...
+const MAP_STAGES: [&str; 6] = [
+    "map_before",
+    "gaussian_mask",
+    "label_gaussians",
+    "insert",
+    "densify",
+    "map_after",
+];
+
+/// ... and the tolerances of their parameters.
 const MAP_TOLERANCES: &[(&str, &str)] = &[
     ("means", "trace.means"),
     ("log_scales", "trace.log_scales"),
@@ -201,8 +220,9 @@ const MAP_TOLERANCES: &[(&str, &str)] = &[
 /// What a tensor of a correct port is held to: the table's last entry for it, else the same numbers.
 #[must_use]
 pub fn tolerance(stage: &str, tensor: &str) -> &'static Tolerance {
-    let is_map = ["map_before", "insert", "map_after"].contains(&stage);
-    let parameter = MAP_TOLERANCES.iter().find(|(t, _)| is_map && *t == tensor);
+    let name = tensor.strip_prefix("before_").unwrap_or(tensor);
+    let is_map = MAP_STAGES.contains(&stage);
+    let parameter = MAP_TOLERANCES.iter().find(|(t, _)| is_map && *t == name);
     let of = |(s, t, _): &&(&str, &str, &str)| *s == stage && (t.is_empty() || *t == tensor);
     let stages = TOLERANCES.iter().rfind(of).map(|(_, _, name)| name);
     let name = stages
@@ -231,6 +251,7 @@ mod tests {
         let name = |stage, tensor| tolerance(stage, tensor).name;
         assert_eq!(name("orb", "xy"), "exact", "not in the list");
         assert_eq!(name("insert", "means"), "trace.means", "a parameter");
+        assert_eq!(name("densify", "before_means"), "trace.means", "as well");
         assert_eq!(name("train", "means"), "exact", "not of the map");
         assert_eq!(name("insert", "landmark"), "exact", "an id");
         assert_eq!(name("pose", "after"), "pose.pose", "a tensor");

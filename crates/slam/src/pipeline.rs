@@ -450,7 +450,7 @@ impl Slam {
         }
         self.places.add(id, &static_descriptors(map.keyframe(id)));
         if config.culling.enabled {
-            for culled in cull_keyframes(context, map, keyframing.loops.closed(), id) {
+            for culled in cull_keyframes(context, map, keyframing.loops.closed(), id, recorder) {
                 self.places.remove(culled);
                 self.images.remove(culled);
             }

@@ -61,7 +61,7 @@ pub const NONE: u32 = u32::MAX;
 
 /// Every recorded stage, in the order of the data within a frame. `pose` and `depth_pose` run after
 /// each search for matches; the stages after `trajectory` are the mapper's.
-pub const STAGES: [&str; 23] = [
+pub const STAGES: [&str; 30] = [
     "input",
     "orb",
     "keypoints",
@@ -69,21 +69,28 @@ pub const STAGES: [&str; 23] = [
     "predict",
     "match_motion",
     "match_reference",
+    "relocalise",
     "pose",
     "depth_pose",
     "label",
-    "masks",
+    "gaussian_mask",
     "flow_lk",
     "flow",
+    "restore",
+    "masks",
     "match_local_map",
     "subpixel",
     "keyframe",
     "label_map",
     "bundle",
+    "loop",
+    "cull",
     "trajectory",
     "map_before",
+    "label_gaussians",
     "insert",
     "train",
+    "densify",
     "map_after",
 ];
 

@@ -101,5 +101,6 @@ def make(name, seed, max_gaussians, why):
     )
 
 
-make("free", 91, 400, "clones and children on both sides of every threshold, images of several sizes")
-make("full", 92, 50, "the map is full after some of them")
+if __name__ == "__main__":
+    make("free", 91, 400, "clones and children on both sides of every threshold, images of several sizes")
+    make("full", 92, 50, "the map is full after some of them")

@@ -4,9 +4,9 @@ output who computed it again and how far apart the two are, or `pin`, if nobody 
 against change.
 
     pip install numpy==2.4.6 scipy==1.17.1 opencv-python-headless==5.0.0.93 mpmath==1.3.0
-    python3 tests/golden/gen/trace.py [TRACE]          (default: tests/golden/trace/walking_4_to_6)
+    python3 tests/golden/gen/trace.py [TRACE]          (default: all of tests/golden/trace)
 
-The trace itself is made by garad from a recording made by garad; tests/golden/README.md has the commands.
+The traces themselves are made by garad from recordings made by garad; tests/golden/README.md has the commands.
 """
 
 import json
@@ -16,10 +16,11 @@ import tomllib
 
 import cv2
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, optimize
 
 import bundle
 import crf
+import densify
 import flow
 import losses
 import orb
@@ -230,11 +231,9 @@ def check_label(checks, run, config):
     checks.same(run, "belief", field(nodes, config, run["log_odds"]), "gen/crf.py, every pair", abs_=2e-3)
 
 
-def check_masks(checks, run, label, keypoints, depth, config):
+def cells_of(px, belief, depth, threshold, config):
+    """The mask in cells, from the beliefs of the lattice's samples."""
     step, (height, width) = config["labels"]["step_px"], depth.shape
-    n = len(label["belief"])
-    lattice_n = n - int((~np.isnan(keypoints["depth_m"])).sum())
-    px, belief = label["px"][n - lattice_n:], label["belief"][n - lattice_n:]
     samples = {tuple((p // step).astype(int)): (p, b) for p, b in zip(px, belief)}
     z_of = {k: float(depth[int(p[1]), int(p[0])]) for k, (p, _) in samples.items()}
     rows, columns = -(-height // CELL), -(-width // CELL)
@@ -253,17 +252,214 @@ def check_masks(checks, run, label, keypoints, depth, config):
                         if z > 0:
                             w *= np.exp(-0.5 * ((z_of[x, y] - z) / (config["labels"]["edge_ratio"] * z)) ** 2) + 1e-6
                         total, weights = total + w * b, weights + w
-            cells[cy, cx] = 255 * (weights > 0 and total > config["crf"]["threshold"] * weights)
-    checks.same(run, "cells", cells, "numpy: decision 005")
+            cells[cy, cx] = 255 * (weights > 0 and total > threshold * weights)
+    return cells
+
+
+def at_keypoints(mask, keypoints):
+    """Whether the cell of each keypoint is in the mask."""
     cell = np.floor((keypoints["px"] + 0.5) / CELL).astype(int)
-    at = lambda mask: mask[np.minimum(cell[:, 1], rows - 1), np.minimum(cell[:, 0], columns - 1)] > 0
-    moving = at(cells)
-    with_depth = np.flatnonzero(~np.isnan(keypoints["depth_m"]))
-    moving[with_depth] |= label["belief"][:len(with_depth)] > config["crf"]["threshold"]
+    return mask[np.minimum(cell[:, 1], len(mask) - 1), np.minimum(cell[:, 0], len(mask[0]) - 1)] > 0
+
+
+def check_masks(checks, run, label, keypoints, depth, config):
+    threshold, with_depth = config["crf"]["threshold"], np.flatnonzero(~np.isnan(keypoints["depth_m"]))
+    first = len(with_depth)
+    cells = cells_of(label["px"][first:], label["belief"][first:], depth, threshold, config)
+    moving = at_keypoints(cells, keypoints)
+    moving[with_depth] |= label["belief"][:first] > threshold
+    check_labels(checks, run, cells, moving, np.zeros(len(moving), bool), keypoints, config)
+
+
+def check_labels(checks, run, cells, moving, restored, keypoints, config):
+    checks.same(run, "cells", cells, "numpy: decision 005")
     checks.same(run, "label", moving, "numpy")
     reach = -(-config["labels"]["reach_px"] // CELL)
     near = ndimage.maximum_filter(cells, size=2 * reach + 1, mode="constant")
-    checks.same(run, "in_use", ~moving & ~at(near), "scipy: dilation by a square")
+    checks.same(run, "in_use", ~moving & (restored | ~at_keypoints(near, keypoints)), "scipy: dilation by a square")
+
+
+def check_gaussian_mask(checks, run, keypoints, levels, depth, camera, config):
+    """The dynamic Gaussians whose surface is still there, drawn at three levels; who lies in them (decision 020)."""
+    c, pose, (fx, fy, cx, cy) = config["labels"]["gaussian_mask"], run["camera_from_world"], camera["fx_fy_cx_cy"]
+    project = lambda p: np.c_[fx * p[:, 0] / p[:, 2] + cx, fy * p[:, 1] / p[:, 2] + cy]
+    p = run["means"].astype(float) @ pose[:, :3].T + pose[:, 3]
+    at = np.floor(project(p) + 0.5)
+    inside = (p[:, 2] > 0) & (at >= 0).all(1) & (at < np.array(depth.shape)[::-1]).all(1)
+    x, y = np.where(inside, at.T, 0).astype(int)
+    there = ~inside | ~(depth[y, x] > 0) | (np.abs(depth[y, x].astype(float) - p[:, 2]) < c["depth_m"])
+    for level in range(3):
+        drawn = draw({name: run[name][there] for name in DRAWN}, camera, level, pose)
+        for name, other in [("opacity", 1 - drawn["transmittance"][0]), ("depth_m", drawn["depth"][0])]:
+            checks.same(run, f"{name}_{level}", other, "gen/raster.py, dense, 80 bits", abs_=2e-4, share=2e-2)
+
+    def in_mask(level, uv, z):
+        opacity = run[f"opacity_{level}"].astype(float)
+        x, y = np.floor(uv / 2 ** level + 0.5).astype(int)
+        if not (0 <= x < opacity.shape[1] and 0 <= y < opacity.shape[0] and opacity[y, x] > c["opacity"]):
+            return False
+        return np.isnan(z) or abs(z - float(run[f"depth_m_{level}"][y, x]) / opacity[y, x]) < c["depth_m"]
+
+    nearest = [int(np.argmin([abs(np.log(1.2 ** l / 2 ** level)) for level in range(3)])) for l in levels]
+    moving = [in_mask(*of) for of in zip(nearest, keypoints["uv_px"], keypoints["depth_m"])]
+    checks.same(run, "in_mask", moving, "numpy")
+    first = int((~np.isnan(keypoints["depth_m"])).sum())
+    blocks = project(run["p_world"] @ pose[:, :3].T + pose[:, 3])[first:]
+    blocks = [in_mask(2, uv, z) for uv, z in zip(blocks, run["depth_m"][first:])]
+    checks.same(run, "suspected", np.r_[np.array(moving)[~np.isnan(keypoints["depth_m"])], blocks], "numpy")
+
+
+def check_restore(checks, run, mask, tracks, verdicts, features, keypoints, config):
+    """Suspects whose flow is that of the static scene, and the landmarks they show."""
+    rests = np.zeros(len(mask["suspected"]), bool)
+    if verdicts is not None:
+        suspects = np.flatnonzero(mask["suspected"])
+        judged = suspects[tracks["tracked"][-len(suspects):] == 1]
+        rests[judged] = verdicts["inside"] == 1
+    checks.same(run, "rests", rests, "numpy, by the flow")
+    with_depth = np.flatnonzero(~np.isnan(keypoints["depth_m"]))
+    restored = with_depth[rests[:len(with_depth)]]
+    checks.same(run, "keypoint", restored, "numpy")
+    t, shown = config["tracking"], set()
+    for i in restored:
+        radius = t["local_radius_px"] * 1.2 ** float(features["level"][i])
+        near = np.linalg.norm(run["dynamic_uv_px"] - keypoints["uv_px"][i], axis=1) < radius
+        bits = np.unpackbits(run["dynamic_descriptor"] ^ features["descriptor"][i], axis=1).sum(1)
+        best = min(((int(bits[k]), int(run["dynamic_landmark"][k])) for k in np.flatnonzero(near)), default=(257, 0))
+        shown |= {best[1]} if best[0] <= t["match_distance"] else set()
+    checks.same(run, "landmark", sorted(shown), "numpy")
+
+
+def check_masks_of_gaussians(checks, run, mask, restore, keypoints, depth, config):
+    first = int((~np.isnan(keypoints["depth_m"])).sum())
+    moves = (mask["suspected"] == 1) & (restore["rests"] == 0)
+    share = config["labels"]["gaussian_mask"]["surface_share"]
+    cells = cells_of(mask["px"][first:], moves[first:].astype(float), depth, share, config)
+    restored = np.isin(np.arange(len(keypoints["px"])), restore["keypoint"])
+    moving = ~restored & ((mask["in_mask"] == 1) | at_keypoints(cells, keypoints))
+    check_labels(checks, run, cells, moving, restored, keypoints, config)
+
+
+def votes(means, voters, labels, c):
+    """The label of each mean by its nearest voters; -1 where none is near enough."""
+    found = np.full(len(means), -1)
+    for i, mean in enumerate(means.astype(float)):
+        distance = np.linalg.norm(voters.astype(float) - mean, axis=1)
+        nearest = np.argsort(distance, kind="stable")[:c["neighbours"]]
+        weight = np.maximum(1 - distance[nearest] / c["radius_m"], 0)
+        if weight.sum() > 0:
+            found[i] = weight[labels[nearest] == 1].sum() > weight[labels[nearest] == 0].sum()
+    return found
+
+
+def check_label_gaussians(checks, run, field, config):
+    """The field's labels, the vote for those without a landmark, and the window of eq. 7."""
+    n, label = config["labels"]["window"]["runs"], run["before"].astype(int)
+    restored = np.isin(run["landmark"], run["restored"]) & (run["landmark"] != NONE)
+    label[restored] = 0
+    pushed = votes(run["means"], run["means"][run["voter"]], run["voter_label"], config["labels"]["spread"])
+    pushed[run["landmark"] != NONE] = -1
+    if field["label"].tolist() != run["voter_label"].tolist() or field["landmark"].tolist() != run["landmark"][run["voter"]].tolist():
+        checks.problems.append(f"{run.name}: voters are not what the field labelled")
+    pushed[run["voter"]] = run["voter_label"]
+    checks.same(run, "label", np.where(pushed < 0, label, pushed), "numpy: decision 020")
+    runs, moving = run["window"].T
+    checks.same(run, "removed", (pushed == 1) & ~restored & (runs + 1 >= n) & (moving == n - 1), "numpy: eq. 7")
+
+
+def check_densify(checks, run, config):
+    """gen/densify.py on the map before, with the normal numbers drawn; then what is split, faded or too large goes."""
+    names = [*DRAWN, "label", "landmark"]
+    before = {name: run[f"before_{name}"] for name in names}
+    mean = run["gradient"].astype(float) / np.maximum(run["seen"], 1)
+    c, extent = config["densify"], float(run["extent_m"][0])
+    o = {key: c[key] for key in ("grad_threshold", "split_extent", "max_gaussians")}
+    o |= dict(extent_m=extent, young_from=int(run["young_from"][0]))
+    grown = dict(before, born=run["born"].astype(int), mean=np.r_[mean, np.zeros(len(before["label"]) - len(mean))])
+    split, new = densify.control(o, grown, run["normals"].ravel(), lambda value, _: value)
+    parents = np.array([i for i, _, _ in new], int)
+    every = {name: np.concatenate([v, v[parents]]) for name, v in before.items()}
+    every["landmark"][len(split):] = NONE
+    if new:
+        every["means"] = np.concatenate([before["means"], [m for _, m, _ in new]])
+        every["log_scales"] = np.concatenate([before["log_scales"], [s for _, _, s in new]])
+    static = every["label"] == 0
+    gone = np.r_[split == 1, np.zeros(len(new), bool)]
+    gone |= static & (1 / (1 + np.exp(-every["opacity_logits"].astype(float))) < c["min_opacity"])
+    if c["prune_large"]:
+        gone |= static & (np.exp(every["log_scales"].astype(float)) > 0.1 * extent).any(1)
+    for name in names:
+        checks.same(run, name, every[name][~gone], "gen/densify.py", rel=1e-6 if name in ("means", "log_scales") else 0)
+
+
+def check_relocalise(checks, run, poses, config):
+    """The first keyframe with enough inliers, else that with most; its pose is the last that was optimised for it."""
+    t, inliers = config["tracking"], run["inliers"].astype(int)
+    enough, needed = t["min_inliers_after_recovery"], t["reference_min_matches"]
+    if (inliers[:-1] >= enough).any():
+        checks.problems.append(f"{run.name}: went on after a keyframe with enough inliers")
+    found = inliers.max(initial=0) >= needed
+    checks.same(run, "found", [found], "numpy")
+    taken = [p["after"] for p in poses if p["inlier"].sum() == inliers.max(initial=0)]
+    if found and taken:
+        checks.same(run, "camera_from_world", taken[0], "the stage before")
+
+
+def twists(motions):
+    """(rho, phi) of rigid motions: the logarithm, with rho = V^-1 t."""
+    phi = pose_lm.Rotation.from_matrix(motions[:, :3, :3]).as_rotvec()
+    angle = np.maximum(np.linalg.norm(phi, axis=1), 1e-9)
+    second = np.where(angle < 1e-4, 1 / 12, 1 / angle ** 2 - (1 + np.cos(angle)) / (2 * angle * np.sin(angle)))
+    once = np.cross(phi, motions[:, :3, 3])
+    return np.c_[motions[:, :3, 3] - once / 2 + second[:, None] * np.cross(phi, once), phi]
+
+
+def check_loop(checks, run):
+    """The poses of keyframes that were not culled: scipy's optimum of the same graph."""
+    full = lambda poses: np.concatenate([poses, np.broadcast_to([[[0, 0, 0, 1.0]]], (len(poses), 1, 4))], 1)
+    center = lambda pose: -pose[:, :3].T @ pose[:, 3]
+    newest = int(run["keyframe"][0, 0])
+    checks.same(run, "drift_m", [np.linalg.norm(center(run["located"]) - center(run["poses_before"][newest]))], "numpy", rel=1e-9)
+    kept = np.flatnonzero((run["fixed"] == 0) | (np.arange(len(run["fixed"])) == 0))
+    row = {k: i for i, k in enumerate(kept)}
+    edges = np.array([[row[a], row[b]] for a, b in run["edge"]])
+    root, measured, start = np.sqrt(run["information"]), np.linalg.inv(full(run["a_from_b"])), full(run["poses_before"])[kept]
+
+    def moved(x):
+        by = np.zeros((len(kept) - 1, 4, 4))
+        by[:, :3, :3], by[:, :3, 3], by[:, 3, 3] = pose_lm.Rotation.from_rotvec(x.reshape(-1, 6)[:, 3:]).as_matrix(), x.reshape(-1, 6)[:, :3], 1
+        return np.concatenate([start[:1], by @ start[1:]])
+
+    def residual(x):
+        poses = moved(x)
+        return (root * twists(measured @ poses[edges[:, 0]] @ np.linalg.inv(poses[edges[:, 1]]))).ravel()
+
+    best = optimize.least_squares(residual, np.zeros(6 * len(kept) - 6), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    part = Run({"poses_after": run["poses_after"][kept]})
+    part.stage, part.name = run.stage, run.name
+    checks.same(part, "poses_after", moved(best.x)[:, :3], "scipy, without culled keyframes", abs_=1e-5)
+
+
+def check_cull(checks, run, config):
+    """By the observations of all keyframes, each judged by what those before it have left."""
+    c, close = config["culling"], config["keyframes"]["close_m"]
+    rows = [(int(k), int(l), int(level), z, s == 1) for (k, l, level), z, s in zip(run["observation"], run["depth_m"], run["static"])]
+    newest, ends = int(run["newest"][0]), set(run["loop_end"].tolist())
+    seen = {l for k, l, *_ in rows if k == newest}
+    shared = {}
+    for k, l, *_ in rows:
+        if k != newest and l in seen:
+            shared[k] = shared.get(k, 0) + 1
+    culled = []
+    for k in sorted(shared, key=lambda k: (shared[k], k), reverse=True):
+        if k == 0 or k + c["keep_youngest"] > newest or k in ends:
+            continue
+        near = [(l, level) for other, l, level, z, static in rows if other == k and static and z < close]
+        others = lambda l, level: sum(o != k and o not in culled and m == l and v <= level + 1 for o, m, v, *_ in rows)
+        good = sum(others(l, level) >= c["observers"] for l, level in near)
+        if near and good >= c["redundant_share"] * len(near):
+            culled.append(k)
+    checks.same(run, "culled", culled, "numpy: decision 010")
 
 
 def check_tracks(checks, run, max_residual):
@@ -341,7 +537,7 @@ def check_bundle(checks, run, intrinsics, bf):
 
 
 def check_train(checks, run, gaussians, camera, config):
-    """The picture of the map inserted, drawn dense and in 80 bits, and the loss of the picture drawn."""
+    """The picture of the map inserted or densified, drawn dense and in 80 bits, and the loss of the picture drawn."""
     level, pose = int(run["level"][0]), run["camera_from_world"]
     if gaussians is not None:
         keep = gaussians["label"] == 0
@@ -377,15 +573,16 @@ def standing(world, camera, pose, uv, z, reach_px, depth_ratio):
     return [i for i in np.argsort(apart, kind="stable") if of_it[i]]
 
 
-def check_insert(checks, run, before, picture, masks, pose, camera, config):
+def check_insert(checks, run, before, labelled, picture, masks, pose, camera, config):
     """A new landmark takes a free Gaussian of its place or brings one; then one for every lattice pixel with depth
-    that the map with those leaves open and that has none of its surface beside it."""
+    that the map with those leaves open and that has none of its surface beside it. Labels are given before, or, by
+    the field over Gaussians, in between."""
     seed, rgb, depth = config["insertion"], picture["rgb"], picture["depth_m"]
     fx, fy, cx, cy = camera["fx_fy_cx_cy"]
     focal, stride, (height, width) = (fx + fy) / 2, seed["stride_px"], depth.shape
     old = len(before["means"])
     # What is labelled at this keyframe is labelled before insertion.
-    world = dict(before, label=run["label"][:old])
+    world = dict(before) if labelled is not None else dict(before, label=run["label"][:old])
     world["landmark"] = np.where(np.isin(before["landmark"], run["living"]), before["landmark"], NONE)
 
     def added(world, p_world, z, pixel, tag):
@@ -409,8 +606,15 @@ def check_insert(checks, run, before, picture, masks, pose, camera, config):
         else:
             world = added(world, p_world, z, pixel, tag)
 
-    moving = np.kron(masks["cells"], np.ones((CELL, CELL)))[:height, :width]
-    near = ndimage.maximum_filter(moving, size=2 * stride + 1, mode="constant")
+    if labelled is not None:
+        if len(labelled["means"]) != len(world["means"]):
+            checks.problems.append(f"{run.name}: {len(world['means'])} Gaussians with those of landmarks, {len(labelled['means'])} labelled")
+            return
+        kept = labelled["removed"] == 0
+        world = {name: v[kept] for name, v in dict(world, label=labelled["label"]).items()}
+    first = len(world["means"])
+    moving = np.zeros(depth.shape) if masks is None else np.kron(masks["cells"], np.ones((CELL, CELL)))[:height, :width]
+    near = ndimage.maximum_filter(moving, size=2 * stride + 1, mode="constant") * seed["avoid_moving"]
     drawn = draw(world, camera, 2, pose)  # what moves hides what is behind it, too
     drawn_m, drawn_opacity = drawn["depth"][0], 1 - drawn["transmittance"][0]
     was = dict(world)
@@ -427,6 +631,16 @@ def check_insert(checks, run, before, picture, masks, pose, camera, config):
                 p = np.array([(x - cx) * z / fx, (y - cy) * z / fy, z])
                 world = added(world, pose[:, :3].T @ (p - pose[:, 3]), z, (x, y), NONE)
 
+    if labelled is not None:
+        voters = labelled["means"][labelled["voter"]]
+        label = votes(np.array(world["means"])[first:], voters, labelled["voter_label"], config["labels"]["spread"])
+        p = np.array(world["means"], float)[first:] @ pose[:, :3].T + pose[:, 3]
+        x, y = np.floor(np.array([fx * p[:, 0] / p[:, 2] + cx, fy * p[:, 1] / p[:, 2] + cy]) + 0.5).astype(int)
+        if config["labels"]["spread"]["from_mask"]:
+            label[moving[y, x] > 0] = 1
+        world["label"] = np.r_[world["label"][:first], np.maximum(label, 0)]
+        checks.same(run, "label", world["label"], "numpy: decision 020")
+
     basis = "numpy, on a picture by gen/raster.py"
     for name, allowed in dict(means=1e-6, log_scales=1e-6, quaternions=0, opacity_logits=1e-6, sh=1e-6, landmark=0).items():
         checks.same(run, name, world[name], basis, abs_=allowed)
@@ -437,9 +651,8 @@ def quaternion_of(rotation):
     return np.array([w, x, y, z])
 
 
-def main():
-    default = pathlib.Path(__file__).resolve().parent.parent / "trace/walking_4_to_6"
-    folder = pathlib.Path(sys.argv[1]) if sys.argv[1:] else default
+def check_trace(folder):
+    """Writes basis.json; the problems found."""
     index, runs = load(folder)
     config = tomllib.loads((folder / "config.toml").read_text())
     camera = index["about"]["camera"]
@@ -447,6 +660,8 @@ def main():
     pose_lm.DISPARITY = bundle.DISPARITY = config["tracking"]["depth_residual"] == "disparity"
     checks = Checks()
     get = lambda frame, stage, call=0: runs.get((frame, stage, call))
+    every = lambda frame, stage: [r for k, r in runs.items() if k[:2] == (frame, stage)]
+    ready = None  # the map that the next iteration draws, where it is known
     for (frame, stage, call), run in runs.items():
         rgb, depth = get(frame, "input")["rgb"], get(frame, "input")["depth_m"]
         if stage == "orb":
@@ -466,7 +681,25 @@ def main():
             check_label(checks, run, config)
         elif stage == "masks":
             field = get(frame, "label", 1) or get(frame, "label")  # once more after the flow check
-            check_masks(checks, run, field, get(frame, "keypoints"), depth, config)
+            if field:
+                check_masks(checks, run, field, get(frame, "keypoints"), depth, config)
+            else:
+                check_masks_of_gaussians(checks, run, get(frame, "gaussian_mask"), get(frame, "restore"), get(frame, "keypoints"), depth, config)
+        elif stage == "gaussian_mask":
+            check_gaussian_mask(checks, run, get(frame, "keypoints"), get(frame, "orb")["level"], depth, camera, config)
+        elif stage == "restore":
+            check_restore(checks, run, get(frame, "gaussian_mask"), get(frame, "flow_lk"), get(frame, "flow"), get(frame, "orb"), get(frame, "keypoints"), config)
+        elif stage == "label_gaussians":
+            check_label_gaussians(checks, run, get(frame, "label_map"), config)
+        elif stage == "relocalise":
+            check_relocalise(checks, run, every(frame, "pose"), config)
+        elif stage == "loop":
+            check_loop(checks, run)
+        elif stage == "cull":
+            check_cull(checks, run, config)
+        elif stage == "densify":
+            check_densify(checks, run, config)
+            ready = run
         elif stage in ("flow_lk", "subpixel"):
             check_tracks(checks, run, config["subpixel"]["max_residual"])
         elif stage == "flow":
@@ -476,14 +709,20 @@ def main():
         elif stage == "bundle":
             check_bundle(checks, run, intrinsics, bf)
         elif stage == "train":
-            check_train(checks, run, get(frame, "insert") if call == 0 else None, camera, config)
+            check_train(checks, run, ready, camera, config)
+            ready = None
         elif stage == "insert":
             pose = get(frame, "trajectory")["camera_from_world"]
-            check_insert(checks, run, get(frame, "map_before"), get(frame, "input"), get(frame, "masks"), pose, camera, config)
+            if not get(frame, "loop"):  # a loop moves the map first
+                check_insert(checks, run, get(frame, "map_before"), get(frame, "label_gaussians"), get(frame, "input"), get(frame, "masks"), pose, camera, config)
+            ready = run
         elif stage == "trajectory":
-            last = [r["after"] for k, r in runs.items() if k[:2] == (frame, "pose")][-1]
-            adjusted = get(frame, "bundle")
-            checks.same(run, "camera_from_world", last if adjusted is None else adjusted["poses_after"][0], "the stage before")
+            last, adjusted = every(frame, "pose")[-1]["after"], every(frame, "bundle")
+            for bundled in adjusted[:1]:  # the newest is the first, after a loop the last that is free
+                last = bundled["poses_after"][0]
+            for bundled in adjusted[1:]:
+                last = bundled["poses_after"][bundled["fixed"] == 0][-1]
+            checks.same(run, "camera_from_world", last, "the stage before")
     outputs = [e for e in index["tensors"] if e["role"] == "output"]
     names = sorted({f"{e['stage']}/{e['tensor']}" for e in outputs})
     count = lambda name: sum(f"{e['stage']}/{e['tensor']}" == name for e in outputs)
@@ -498,8 +737,14 @@ def main():
     (folder / "basis.json").write_text("{\n" + ",\n".join(lines) + "\n}\n")
     for problem in checks.problems:
         print("NOT CONFIRMED:", problem)
-    print(f"{checked} of {len(outputs)} outputs computed again from their inputs; {len(outputs) - checked} are pins against change")
-    sys.exit(1 if checks.problems else 0)
+    print(f"{folder.name}: {checked} of {len(outputs)} outputs computed again from their inputs; {len(outputs) - checked} are pins against change")
+    return checks.problems
+
+
+def main():
+    traces = pathlib.Path(__file__).resolve().parent.parent / "trace"
+    folders = [pathlib.Path(a) for a in sys.argv[1:]] or sorted(p for p in traces.iterdir() if p.is_dir())
+    sys.exit(1 if any([check_trace(folder) for folder in folders]) else 0)
 
 
 if __name__ == "__main__":

@@ -179,6 +179,10 @@ pub(crate) fn label_by_mask(
         .chain(of_blocks.map(label_of_block))
         .map(|label| label == Label::Dynamic)
         .collect();
+    recorder.record("gaussian_mask", |record| {
+        let of = (given.dynamic, frame);
+        record.gaussian_mask(of, &mask.levels, &label, &samples, &suspected);
+    });
     let rests = rests(
         context,
         view.pyramid,
@@ -232,9 +236,10 @@ pub(crate) fn label_by_mask(
         let is_near = config.reach_px > 0 && label_at(&near, &frame.px[i]) == Label::Dynamic;
         label[i] == Label::Static && (!is_near || restored.binary_search(&i).is_ok())
     });
+    let of_flow = (&rests[..], &restored[..]);
     let labels = FrameLabels {
         in_use: in_use.collect(),
-        restored: restored_landmarks(context, given.map, frame, &restored),
+        restored: restored_landmarks(context, given.map, frame, of_flow, recorder),
         label,
         cells,
     };
@@ -266,7 +271,8 @@ fn restored_landmarks(
     context: &Context,
     map: &Map,
     frame: &Frame,
-    restored: &[usize],
+    (rests, restored): (&[bool], &[usize]),
+    recorder: &mut Recorder,
 ) -> Vec<LandmarkId> {
     let (camera, config) = (&context.camera, &context.config.tracking);
     let dynamic = map.landmarks().filter(|(_, l)| l.label() == Label::Dynamic);
@@ -292,6 +298,10 @@ fn restored_landmarks(
         restored.iter().filter_map(shown).map(|(_, l)| l).collect();
     landmarks.sort_unstable();
     landmarks.dedup();
+    recorder.record("restore", |record| {
+        let seen = (seen.iter()).map(|(id, landmark, uv_px)| (*id, &landmark.descriptor, *uv_px));
+        record.restore(seen, rests, restored, &landmarks);
+    });
     landmarks
 }
 

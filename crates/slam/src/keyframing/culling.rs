@@ -16,12 +16,13 @@
 
 use std::collections::BTreeSet;
 
-use garad_core::KeyframeId;
+use garad_core::{KeyframeId, LandmarkId};
 
 use super::loop_closing::LoopClosure;
 use crate::config::CullingConfig;
 use crate::context::Context;
 use crate::map::{Map, by_count};
+use crate::trace::Recorder;
 
 /// An observation that many levels coarser than one's own still counts as equally good (ORB-SLAM):
 /// corners jump between neighbouring levels.
@@ -34,8 +35,10 @@ pub(crate) fn cull_keyframes(
     map: &mut Map,
     closed: &[LoopClosure],
     newest: KeyframeId,
+    recorder: &mut Recorder,
 ) -> Vec<KeyframeId> {
     let config = &context.config.culling;
+    let before = recorder.is_recording().then(|| observed(map));
     let ends: BTreeSet<_> = closed.iter().flat_map(|l| [l.keyframe, l.older]).collect();
     let close_m = context.config.keyframes.close_m;
     let mut culled = Vec::new();
@@ -48,7 +51,42 @@ pub(crate) fn cull_keyframes(
             culled.push(id);
         }
     }
+    if let Some(before) = before {
+        recorder.record("cull", |record| {
+            record.cull(newest, ends.iter().copied(), &before, &culled);
+        });
+    }
     culled
+}
+
+/// One observation, as the trace has it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Observed {
+    pub(crate) keyframe: KeyframeId,
+    pub(crate) landmark: LandmarkId,
+    pub(crate) level: u8,
+    /// NaN without depth.
+    pub(crate) depth_m: f64,
+    pub(crate) is_static: bool,
+}
+
+/// All observations of the map, keyframe by keyframe.
+fn observed(map: &Map) -> Vec<Observed> {
+    let of_keyframe = |keyframe: KeyframeId| {
+        let frame = map.keyframe(keyframe);
+        let landmarks = frame.landmark.iter().enumerate();
+        landmarks.filter_map(move |(i, landmark)| {
+            let landmark = (*landmark)?;
+            Some(Observed {
+                keyframe,
+                landmark,
+                level: frame.keypoints[i].level,
+                depth_m: frame.depth_m[i].unwrap_or(f64::NAN),
+                is_static: map.static_landmark(landmark).is_some(),
+            })
+        })
+    };
+    map.kept_ids().flat_map(of_keyframe).collect()
 }
 
 /// Whether a keyframe observes at least one near static landmark, and nearly all of them are observed by
@@ -211,7 +249,7 @@ mod tests {
             config.culling.keep_youngest = keep_youngest;
             config.keyframes.close_m = close_m;
             let World { context, map, .. } = &mut world;
-            let culled = cull_keyframes(context, map, &[], KeyframeId(5));
+            let culled = cull_keyframes(context, map, &[], KeyframeId(5), &mut Recorder::default());
             let culled: Vec<_> = culled.iter().map(|k| k.0).collect();
             assert_eq!(culled, expected, "{keep_youngest} youngest");
         }
@@ -269,7 +307,16 @@ mod tests {
             inliers: 50,
             drift_m: 0.1,
         }];
-        let culled = cull_keyframes(&world.context, &mut world.map, &closed, KeyframeId(19));
+        let culled = {
+            let World { context, map, .. } = &mut world;
+            cull_keyframes(
+                context,
+                map,
+                &closed,
+                KeyframeId(19),
+                &mut Recorder::default(),
+            )
+        };
         let order = [9, 8, 7, 6, 4, 3, 1].map(KeyframeId);
         assert_eq!(culled, order, "of equals the youngest first");
         let left: Vec<_> = world.map.kept_ids().map(|k| k.0).collect();

@@ -103,8 +103,20 @@ impl LoopCloser {
                 drift_m: (seen.center() - map.keyframe(id).center()).norm(),
             };
             let before = map.keyframe_poses();
-            if !correct_path(context, map, &self.closed, &closure, seen.camera_from_world) {
+            let located = seen.camera_from_world;
+            let graph =
+                (recorder.is_recording()).then(|| path_graph(map, &self.closed, &closure, located));
+            if !correct_path(context, map, &self.closed, &closure, located) {
                 continue;
+            }
+            if let Some(graph) = graph {
+                recorder.record("loop", |record| {
+                    let after = map.keyframe_poses();
+                    let keyframes = (0u32..).map(KeyframeId).take(after.len());
+                    let fixed: Vec<bool> =
+                        keyframes.map(|k| k.0 == 0 || map.is_culled(k)).collect();
+                    record.closed_loop(&closure, &graph, &fixed, &located, &after);
+                });
             }
             join_landmarks(context, map, &closure, &seen);
             global_ba(context, map, recorder);

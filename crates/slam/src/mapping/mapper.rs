@@ -228,6 +228,11 @@ impl Mapper {
     ) -> (Relabelled, Vec<LabelledGaussian>, MapFeedback) {
         let (map, config) = (&mut self.gaussians, &self.context.config.labels);
         let windows = self.trainer.windows(map);
+        let before = self.recorder.is_recording().then(|| {
+            let of_window = |w: &LabelWindow| [w.seen(), w.dynamic_runs(config.window.runs - 1)];
+            let windows: Vec<_> = windows.iter().map(of_window).collect();
+            (map.label.clone(), windows)
+        });
         let restored: Vec<Option<LandmarkId>> = (map.landmark.iter())
             .map(|tag| tag.filter(|id| job.restored.contains(id)))
             .collect();
@@ -245,6 +250,12 @@ impl Mapper {
             labels[voter.row] = Some(voter.label);
         }
         let (mut counts, expired) = push_labels(map, windows, &labels, &config.window);
+        if let Some((label, windows)) = before {
+            self.recorder.record("label_gaussians", |record| {
+                let restored = restored.iter().flatten().copied();
+                record.label_gaussians(map, (&label, &windows), restored, &voters, &expired);
+            });
+        }
         let tagged = |id, label, removed| TaggedLabel { id, label, removed };
         let restored = restored.iter().flatten();
         let restored = restored.map(|id| tagged(*id, Label::Static, false));

@@ -291,9 +291,10 @@ impl Trainer {
         par: Par,
         recorder: &mut Recorder,
     ) -> Result<Option<TrainStep>, TrainError> {
-        self.step_by(map, pick, scene, config, densify, |trainer, map, picked| {
+        let compare = |trainer: &Self, map: &GaussianMap, picked, recorder: &mut Recorder| {
             trainer.compare(map, picked, scene, config, par, recorder)
-        })
+        };
+        self.recorded_step_by(map, pick, scene, config, densify, recorder, compare)
     }
 
     /// [`Trainer::step`] with loss and gradient from anywhere: everything of an iteration but the renderer.
@@ -312,6 +313,23 @@ impl Trainer {
         densify: Option<&DensifyConfig>,
         compare: impl FnOnce(&Self, &GaussianMap, Picked) -> Result<Compared, TrainError>,
     ) -> Result<Option<TrainStep>, TrainError> {
+        let recorder = &mut Recorder::default();
+        let compare = |trainer: &Self, map: &GaussianMap, picked, _: &mut Recorder| {
+            compare(trainer, map, picked)
+        };
+        self.recorded_step_by(map, pick, scene, config, densify, recorder, compare)
+    }
+
+    fn recorded_step_by(
+        &mut self,
+        map: &mut GaussianMap,
+        pick: Pick,
+        scene: TrainingScene<'_>,
+        config: &TrainConfig,
+        densify: Option<&DensifyConfig>,
+        recorder: &mut Recorder,
+        compare: impl FnOnce(&Self, &GaussianMap, Picked, &mut Recorder) -> Result<Compared, TrainError>,
+    ) -> Result<Option<TrainStep>, TrainError> {
         if map.is_empty() {
             return Ok(None);
         }
@@ -328,7 +346,7 @@ impl Trainer {
             loss,
             gradients,
             radii,
-        } = compare(self, map, picked)?;
+        } = compare(self, map, picked, recorder)?;
         let rates = GroupRates::new(&config.rates, scene.extent_m);
         (self.groups).step(map, &gradients, &rates, config.optimiser)?;
         self.iterations += 1;
@@ -336,7 +354,7 @@ impl Trainer {
             let camera = self.camera.level(picked.level);
             self.densifier.add(&gradients.means2d, &radii, &camera);
             if self.iterations.is_multiple_of(densify.every) {
-                self.densify_and_prune(map, scene.extent_m, densify);
+                self.densify_and_prune(map, scene.extent_m, densify, recorder);
             }
         }
         Ok(Some(TrainStep {
@@ -404,13 +422,20 @@ impl Trainer {
         self.retain(map, &keep.collect::<Vec<_>>());
     }
 
-    fn densify_and_prune(&mut self, map: &mut GaussianMap, extent_m: f64, config: &DensifyConfig) {
+    fn densify_and_prune(
+        &mut self,
+        map: &mut GaussianMap,
+        extent_m: f64,
+        config: &DensifyConfig,
+        recorder: &mut Recorder,
+    ) {
         let mut rng = Rng::keyed(self.seed, &[0x6772_6f77, self.iterations as u64]);
         let newest = self.views.last().map_or(0, |view| view.keyframe.0);
         let young_from = KeyframeId(newest.saturating_sub(config.young_keyframes));
         let accumulated = &self.densifier;
+        let unchanged = recorder.is_recording().then(|| (map.clone(), rng.clone()));
         let split = densify(map, accumulated, extent_m, young_from, config, &mut rng);
-        self.densifier = Densifier::default();
+        let accumulated = std::mem::take(&mut self.densifier);
         let before = self.windows.len();
         self.extend(map.len());
         for i in before..map.len() {
@@ -428,6 +453,14 @@ impl Trainer {
             .map(|i| !faded[i] && !large[i] && !split.get(i).copied().unwrap_or(false))
             .collect();
         self.retain(map, &keep);
+        if let Some((unchanged, mut rng)) = unchanged {
+            let drawn = 6 * split.iter().filter(|s| **s).count(); // two children, three each
+            let normals = (0..drawn).map(|_| rng.normal()).collect();
+            recorder.record("densify", |record| {
+                let maps = (&unchanged, &*map);
+                record.densify(maps, accumulated.sums(), (extent_m, young_from), normals);
+            });
+        }
     }
 
     /// Adds state for what was inserted, and for a new degree of the colours.

@@ -1,20 +1,27 @@
 //! The tensors of each stage.
 
 use garad_core::pyramid::GrayPyramid;
-use garad_core::{DepthImage, GaussianMap, GrayImage, Image, Label, LandmarkId, Real, Se3};
+use garad_core::{
+    DepthImage, GaussianMap, GrayImage, Image, KeyframeId, Label, LandmarkId, Real, Se3,
+};
 use garad_crf::{Beliefs, Node};
 use garad_features::flow::{FlowFit, FlowPoint, FlowVerification};
 use garad_features::{Descriptor, LkPyramid, LkTrack};
 use garad_optim::{
-    BundleObservation, CentrePrior, DepthObservation, PoseObservation, PoseSolution,
+    BundleObservation, CentrePrior, DepthObservation, PoseGraph, PoseObservation, PoseSolution,
 };
+use garad_raster::fast::Coverage;
 use nalgebra::{Vector2, Vector3};
 
-use super::{NONE, StageRecord, matrix};
+use super::{NONE, Role, StageRecord, matrix};
 use crate::dynamics::evidence::DepthEvidence;
+use crate::dynamics::gaussian_field::LabelledGaussian;
+use crate::dynamics::samples::Sample;
 use crate::frame::depth_planes::DepthPlanes;
 use crate::frame::{Frame, FrameLabels};
 use crate::io::FrameInput;
+use crate::keyframing::culling::Observed;
+use crate::keyframing::loop_closing::LoopClosure;
 use crate::map::Map;
 use crate::map::landmark::Appearance;
 use crate::mapping::job::NewLandmark;
@@ -414,20 +421,204 @@ impl StageRecord {
         self.input("new_px", "px", &[2], px);
     }
 
-    /// A map of Gaussians.
+    /// A map of Gaussians, as the stage leaves it.
     pub(crate) fn gaussians(&mut self, map: &GaussianMap) {
-        let coefficients = map.coefficients();
+        self.map(Role::Output, "", map);
+    }
+
+    fn map(&mut self, role: Role, prefix: &str, map: &GaussianMap) {
         let tags: Vec<u32> = map.landmark.iter().map(|l| id(*l)).collect();
-        self.output("means", "m", &[3], map.means.as_flattened().to_vec());
-        let scales = map.log_scales.as_flattened().to_vec();
-        self.output("log_scales", "ln m", &[3], scales);
-        let quaternions = map.quaternions.as_flattened().to_vec();
-        self.output("quaternions", "w x y z", &[4], quaternions);
-        self.output("opacity_logits", "1", &[], map.opacity_logits.clone());
-        let sh = map.sh.as_flattened().to_vec();
-        self.output("sh", "1", &[coefficients, 3], sh);
-        self.output("landmark", "1", &[], tags);
+        let of_one: [(&str, &'static str, &[usize], super::Values); 7] = [
+            ("means", "m", &[3], map.means.as_flattened().to_vec().into()),
+            (
+                "log_scales",
+                "ln m",
+                &[3],
+                map.log_scales.as_flattened().to_vec().into(),
+            ),
+            (
+                "quaternions",
+                "w x y z",
+                &[4],
+                map.quaternions.as_flattened().to_vec().into(),
+            ),
+            (
+                "opacity_logits",
+                "1",
+                &[],
+                map.opacity_logits.clone().into(),
+            ),
+            (
+                "sh",
+                "1",
+                &[map.coefficients(), 3],
+                map.sh.as_flattened().to_vec().into(),
+            ),
+            ("landmark", "1", &[], tags.into()),
+            ("label", "1", &[], moving(&map.label).into()),
+        ];
+        for (name, unit, row, values) in of_one {
+            self.tensor(role, format!("{prefix}{name}"), unit, row, values);
+        }
+    }
+
+    /// Clones, splits and prunes: the map before and after, and what decides. `normals` are those drawn for the
+    /// children.
+    pub(crate) fn densify(
+        &mut self,
+        (before, after): (&GaussianMap, &GaussianMap),
+        (gradient, seen): (&[f32], &[u32]),
+        (extent_m, young_from): (f64, KeyframeId),
+        normals: Vec<f64>,
+    ) {
+        self.map(Role::Input, "before_", before);
+        let born: Vec<u32> = before.born.iter().map(|k| k.0).collect();
+        self.input("born", "keyframe", &[], born);
+        self.input("gradient", "1", &[], gradient.to_vec());
+        self.input("seen", "iterations", &[], seen.to_vec());
+        self.input("extent_m", "m", &[], vec![extent_m]);
+        self.input("young_from", "keyframe", &[], vec![young_from.0]);
+        self.input("normals", "1", &[3], normals);
+        self.gaussians(after);
+    }
+
+    /// The mask rendered from the dynamic Gaussians, and the samples of the frame in it: keypoints with depth first,
+    /// then the lattice.
+    pub(crate) fn gaussian_mask(
+        &mut self,
+        (dynamic, frame): (&GaussianMap, &Frame),
+        levels: &[Coverage],
+        label: &[Label],
+        samples: &[Sample],
+        suspected: &[bool],
+    ) {
+        self.map(Role::Input, "", dynamic);
+        self.pose(false, "camera_from_world", &frame.camera_from_world);
+        let px: Vec<_> = samples.iter().map(|s| s.px).collect();
+        let depth: Vec<f64> = samples.iter().map(|s| s.depth_m).collect();
+        self.input("px", "px", &[2], pairs(&px));
+        self.input("depth_m", "m", &[], depth);
+        let points = triples(samples.iter().map(|s| s.p_world));
+        self.input("p_world", "m", &[3], points);
+        for (l, drawn) in levels.iter().enumerate() {
+            let (opacity, depth) = (&drawn.opacity, &drawn.depth);
+            let row = [opacity.width()];
+            self.output(format!("opacity_{l}"), "1", &row, opacity.data().to_vec());
+            self.output(format!("depth_m_{l}"), "m", &row, depth.data().to_vec());
+        }
+        self.output("in_mask", "1", &[], moving(label));
+        let suspected = flags(suspected.iter().copied());
+        self.output("suspected", "1", &[], suspected);
+    }
+
+    /// What the flow check sets static again: samples, keypoints, and of the dynamic landmarks in view those that
+    /// these keypoints show.
+    pub(crate) fn restore<'a>(
+        &mut self,
+        seen: impl Iterator<Item = (LandmarkId, &'a Descriptor, Vector2<f64>)> + Clone,
+        rests: &[bool],
+        keypoints: &[usize],
+        landmarks: &[LandmarkId],
+    ) {
+        let ids: Vec<u32> = seen.clone().map(|(l, _, _)| l.0).collect();
+        let descriptors: Vec<u8> = seen.clone().flat_map(|(_, d, _)| d.to_bytes()).collect();
+        let uv: Vec<_> = seen.map(|(_, _, uv_px)| uv_px).collect();
+        self.input("dynamic_landmark", "1", &[], ids);
+        self.input("dynamic_descriptor", "1", &[32], descriptors);
+        self.input("dynamic_uv_px", "px", &[2], pairs(&uv));
+        self.output("rests", "1", &[], flags(rests.iter().copied()));
+        let keypoints: Vec<u32> = keypoints.iter().map(|i| index(*i)).collect();
+        self.output("keypoint", "1", &[], keypoints);
+        let landmarks: Vec<u32> = landmarks.iter().map(|l| l.0).collect();
+        self.output("landmark", "1", &[], landmarks);
+    }
+
+    /// The labels of Gaussians by the field, by the vote of those it labelled, and by restored landmarks. Windows are
+    /// the runs so far and the dynamic ones among the last n - 1.
+    pub(crate) fn label_gaussians(
+        &mut self,
+        map: &GaussianMap,
+        (label, windows): (&[Label], &[[u32; 2]]),
+        restored: impl Iterator<Item = LandmarkId>,
+        voters: &[LabelledGaussian],
+        removed: &[bool],
+    ) {
+        self.input("means", "m", &[3], map.means.as_flattened().to_vec());
+        let tags: Vec<u32> = map.landmark.iter().map(|l| id(*l)).collect();
+        self.input("landmark", "1", &[], tags);
+        self.input("before", "1", &[], moving(label));
+        let windows = windows.as_flattened().to_vec();
+        self.input("window", "runs, dynamic", &[2], windows);
+        let restored: Vec<u32> = restored.map(|l| l.0).collect();
+        self.input("restored", "1", &[], restored);
+        let rows: Vec<u32> = voters.iter().map(|v| index(v.row)).collect();
+        self.input("voter", "row", &[], rows);
+        let labels: Vec<Label> = voters.iter().map(|v| v.label).collect();
+        self.input("voter_label", "1", &[], moving(&labels));
         self.output("label", "1", &[], moving(&map.label));
+        self.output("removed", "1", &[], flags(removed.iter().copied()));
+    }
+
+    /// A lost camera: the keyframes tried, and the inliers of each; the links and the pose of the one taken.
+    pub(crate) fn relocalise(&mut self, tried: &[(KeyframeId, usize)], found: bool, frame: &Frame) {
+        let keyframes: Vec<u32> = tried.iter().map(|(k, _)| k.0).collect();
+        let inliers: Vec<u32> = tried.iter().map(|(_, n)| index(*n)).collect();
+        self.input("keyframe", "1", &[], keyframes);
+        self.input("inliers", "1", &[], inliers);
+        self.output("found", "1", &[], vec![u8::from(found)]);
+        self.links(frame);
+        self.pose(true, "camera_from_world", &frame.camera_from_world);
+    }
+
+    /// A loop that is closed: the pose graph with the keyframe as located, and the poses it leads to.
+    pub(crate) fn closed_loop(
+        &mut self,
+        closure: &LoopClosure,
+        graph: &PoseGraph,
+        fixed: &[bool],
+        located: &Se3,
+        after: &[Se3],
+    ) {
+        let edges = graph.edges.iter();
+        let ends: Vec<u32> = edges.clone().flat_map(|e| [e.a, e.b].map(index)).collect();
+        let relative: Vec<f64> = edges.clone().flat_map(|e| matrix(&e.a_from_b)).collect();
+        let weight =
+            edges.flat_map(|e| e.information.diagonal().iter().copied().collect::<Vec<_>>());
+        let pair = vec![closure.keyframe.0, closure.older.0];
+        self.input("keyframe", "newest, older", &[2], pair);
+        self.pose(false, "located", located);
+        self.input("edge", "a, b", &[2], ends);
+        self.input("a_from_b", "R | t in m", &[3, 4], relative);
+        let weight: Vec<f64> = weight.collect();
+        self.input("information", "1/m^2, 1/rad^2", &[6], weight);
+        let before: Vec<f64> = graph.poses.iter().flat_map(matrix).collect();
+        self.input("poses_before", "R | t in m", &[3, 4], before);
+        self.input("fixed", "1", &[], flags(fixed.iter().copied()));
+        let after: Vec<f64> = after.iter().flat_map(matrix).collect();
+        self.output("poses_after", "R | t in m", &[3, 4], after);
+        self.output("drift_m", "m", &[], vec![closure.drift_m]);
+    }
+
+    /// Which keyframes are culled, by the observations of all.
+    pub(crate) fn cull(
+        &mut self,
+        newest: KeyframeId,
+        ends: impl Iterator<Item = KeyframeId>,
+        observations: &[Observed],
+        culled: &[KeyframeId],
+    ) {
+        let rows: Vec<u32> = (observations.iter())
+            .flat_map(|o| [o.keyframe.0, o.landmark.0, u32::from(o.level)])
+            .collect();
+        let depth: Vec<f64> = observations.iter().map(|o| o.depth_m).collect();
+        let is_static = flags(observations.iter().map(|o| o.is_static));
+        self.input("newest", "1", &[], vec![newest.0]);
+        self.input("loop_end", "1", &[], ends.map(|k| k.0).collect::<Vec<_>>());
+        self.input("observation", "keyframe, landmark, level", &[3], rows);
+        self.input("depth_m", "m", &[], depth);
+        self.input("static", "1", &[], is_static);
+        let culled: Vec<u32> = culled.iter().map(|k| k.0).collect();
+        self.output("culled", "1", &[], culled);
     }
 
     /// One training iteration: target, render and loss.

@@ -58,9 +58,11 @@ pub(crate) fn relocalise(
     let config = &context.config.tracking;
     let candidates = places.query(&static_descriptors(frame), CANDIDATES, |_| false);
     let mut best: Option<(usize, Frame)> = None;
+    let mut inliers_of = Vec::new();
     for candidate in candidates {
         let mut tried = frame.clone();
         let inliers = locate(context, map, &mut tried, candidate.id, recorder);
+        inliers_of.push((candidate.id, inliers));
         if inliers >= config.reference_min_matches
             && best.as_ref().is_none_or(|(most, _)| inliers > *most)
         {
@@ -70,16 +72,15 @@ pub(crate) fn relocalise(
             break;
         }
     }
+    let found = best.is_some();
     match best {
-        Some((_, found)) => {
-            *frame = found;
-            true
-        }
-        None => {
-            frame.landmark.fill(None);
-            false
-        }
+        Some((_, found)) => *frame = found,
+        None => frame.landmark.fill(None),
     }
+    recorder.record("relocalise", |record| {
+        record.relocalise(&inliers_of, found, frame)
+    });
+    found
 }
 
 /// A frame's pose from nothing but the landmarks of a keyframe and its neighbours, with the links
