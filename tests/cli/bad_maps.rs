@@ -35,7 +35,10 @@ fn hostile_maps_are_refused() {
             good[..good.len() - 1].to_vec(),
             &["the file ends", "as many numbers"],
         ),
-        ([&good[..], b"x"].concat(), &["bytes after the last vertex"]),
+        (
+            [&good[..], b"x"].concat(),
+            &["bytes after the last element"],
+        ),
         (
             with(count, "element vertex 99999999999"),
             &["99999999999", "at most"],
@@ -47,12 +50,12 @@ fn hostile_maps_are_refused() {
         (with(count, "element vertex -1"), &["-1"]),
         (
             with(count, "element vertex 0"),
-            &["bytes after the last vertex"],
+            &["bytes after the last element"],
         ),
         (with("float opacity", "float opaqueness"), &["opacity"]),
         (
             with("property float x", "property list uchar int x"),
-            &["scalar"],
+            &["list x", "a number"],
         ),
         (
             with("property float y", "property float x"),

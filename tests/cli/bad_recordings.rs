@@ -182,14 +182,16 @@ fn ground_truth_is_read_as_far_as_it_goes() {
     );
 }
 
-/// An absurd camera leads to numbers that are not finite: the map is not written, which is the error;
+/// An absurd rate leads to numbers that are not finite: the map is not written, which is the error;
 /// everything else is written.
 #[test]
 fn an_invalid_map_does_not_prevent_other_results() {
     let bench = Bench::new();
-    bench.replace("camera.txt", "131.25 131.25", "1e300 1e300");
+    let config = bench.path("config.toml");
+    fs::write(&config, "[train.rates]\nmean = 1e300\n").expect("written");
     let words = ["map.ply: not written", "not finite"];
-    bench.run(&[]).fails_at_last_with(&words);
+    let answer = bench.run(&["--config", arg(&config)]);
+    answer.fails_at_last_with(&words);
     assert!(!bench.out().join("map.ply").exists(), "no map");
     for name in [
         "trajectory.txt",
