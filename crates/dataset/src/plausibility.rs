@@ -208,7 +208,7 @@ fn folded_share(camera: &Camera) -> f64 {
 /// How much nearer to the principal point a pixel comes when it is undistorted, at most; in diagonals of the image.
 fn largest_pull(camera: &Camera) -> f64 {
     let centre = Vector2::new(camera.cx, camera.cy);
-    let diagonal = (camera.width as f64).hypot(camera.height as f64);
+    let diagonal = Vector2::new(camera.width as f64, camera.height as f64).norm();
     let pull = |uv: Vector2<f64>| {
         let ideal = camera.undistort_pixel(&uv)?;
         Some(((uv - centre).norm() - (ideal - centre).norm()) / diagonal)
