@@ -276,7 +276,7 @@ mod tests {
                 4,
                 "boolean",
             ),
-            ("[refine]\nkeyframes = 7\nframs = 1\n", 3, "frams"),
+            ("[refine]\nkeyframes = 7\nframz = 1\n", 3, "framz"),
             ("[seed]\n\nopacity = \"much\"\n", 3, "much"),
         ] {
             let message = format!("{:#}", parse(text).expect_err(text));
