@@ -35,6 +35,7 @@ pub mod session;
 pub mod source;
 pub mod stopwatch;
 pub mod trace;
+pub mod untracked;
 pub mod usage;
 
 /// The program in the README compiles and runs.

@@ -8,8 +8,9 @@ use garad::output::{self, Judged};
 use garad::progress::note;
 use garad::reason::reason;
 use garad::render_quality;
-use garad::run::{Run, RunOptions, why_untracked};
+use garad::run::{Run, RunOptions};
 use garad::session;
+use garad::untracked::why_untracked;
 use garad_core::Par;
 use garad_dataset::{Dataset, Preset};
 

@@ -2,7 +2,6 @@
 
 pub mod judge;
 pub mod snapshot;
-mod untracked;
 
 use std::io::{Read, Write};
 use std::ops::ControlFlow;
@@ -16,7 +15,6 @@ use garad_slam::{Config, FrameReport, SessionError, Slam};
 
 use self::judge::LabelLog;
 use self::snapshot::Snapshot;
-pub use self::untracked::why_untracked;
 use crate::interrupt;
 use crate::progress::{Progress, note};
 use crate::reason::reason;

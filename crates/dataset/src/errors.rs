@@ -6,6 +6,12 @@ use std::path::{Path, PathBuf};
 use garad_core::CameraError;
 use thiserror::Error;
 
+/// What a recording is recognised by, and the layout's name.
+pub(crate) const LAYOUTS: &str = "rgb.txt and depth.txt (TUM or BONN); associations.txt or associate.txt (ICL-NUIM or ORB-SLAM); \
+results/frame000000.jpg and results/depth000000.png (Replica, as NICE-SLAM ships it); color/, depth/ and pose/ or intrinsic/ (ScanNet export); \
+frame-000000.color.png and frame-000000.depth.png (7-Scenes); transforms.json (nerfstudio or Polycam); \
+color/ or image/, and depth/ (Open3D or RealSense recorder)";
+
 /// Invalid input. Every message is one line with the place and what was expected.
 #[derive(Debug, Error)]
 #[non_exhaustive]
@@ -35,7 +41,7 @@ pub enum DatasetError {
         expected: &'static str,
     },
     /// A folder or archive that is not a recording.
-    #[error("{}: {found}; expected a recording, that is a folder with {}; or a .tgz, .tar.gz, .tar or .zip of one", path.display(), crate::layout::all_in_words())]
+    #[error("{}: {found}; expected a recording, that is a folder with {}; or a .tgz, .tar.gz, .tar or .zip of one", path.display(), LAYOUTS)]
     NotARecording {
         /// The folder or archive.
         path: PathBuf,

@@ -31,6 +31,7 @@
 
 mod columns;
 mod packed;
+mod property;
 mod read;
 mod write;
 

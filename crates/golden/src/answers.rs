@@ -6,8 +6,8 @@ use std::path::Path;
 
 use crate::case::Case;
 use crate::error::GoldenError;
+use crate::manifest::read_npy;
 use crate::tensor::Tensor;
-use crate::trace::read_npy;
 
 /// A backend's outputs by name; a text where a file is there and cannot be used.
 pub type Answers = BTreeMap<String, Result<Tensor, String>>;

@@ -7,8 +7,8 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use crate::error::GoldenError;
+use crate::npy;
 use crate::tensor::{Dtype, Tensor};
-use crate::trace::read_npy;
 
 /// No file of a case is larger; what claims to be is refused unread.
 const MAX_FILE_BYTES: u64 = 64 << 20;
@@ -142,4 +142,13 @@ fn push_scalar(value: &Value, dtype: Dtype, out: &mut Vec<u8>) -> Option<()> {
         Dtype::Bool => out.push(u8::from(value.as_bool()?)),
     }
     Some(())
+}
+/// A `.npy` file, whatever is in it, as long as its numbers can be compared.
+pub(crate) fn read_npy(path: &Path) -> Result<Tensor, GoldenError> {
+    npy::decode(&read(path)?)
+        .and_then(Tensor::exact)
+        .map_err(|source| GoldenError::Npy {
+            path: path.to_owned(),
+            source,
+        })
 }

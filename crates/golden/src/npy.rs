@@ -6,7 +6,7 @@
 //! claimed size is computed with checked arithmetic and must be the number of bytes that are
 //! really there.
 
-mod error;
+pub(crate) mod error;
 mod header;
 
 use crate::tensor::{Dtype, Tensor, checked_len};

@@ -1,6 +1,6 @@
 //! [`Tensor`]: an array with a type and a shape, as a golden case holds it.
 
-use crate::npy::NpyError;
+use crate::npy::error::NpyError;
 
 /// Element type. The name in `case.json` and the descriptor in `.npy` files are two spellings
 /// of the same thing.

@@ -16,8 +16,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::error::GoldenError;
-use crate::manifest::read;
-use crate::npy;
+use crate::manifest::{read, read_npy};
 use crate::tensor::{Dtype, Tensor};
 use crate::tol::{self, Tolerance};
 
@@ -147,16 +146,6 @@ pub fn load_tensor(folder: &Path, entry: &Entry) -> Result<Tensor, GoldenError> 
         tensor: entry.to_string(),
         problem,
     })
-}
-
-/// A `.npy` file, whatever is in it, as long as its numbers can be compared.
-pub(crate) fn read_npy(path: &Path) -> Result<Tensor, GoldenError> {
-    npy::decode(&read(path)?)
-        .and_then(Tensor::exact)
-        .map_err(|source| GoldenError::Npy {
-            path: path.to_owned(),
-            source,
-        })
 }
 
 /// Tolerances of the tensors that a correct port may have otherwise; all others are exact. Names are

@@ -50,10 +50,6 @@ impl Layout for Associations {
         "ICL-NUIM or ORB-SLAM"
     }
 
-    fn looked_for(&self) -> &'static str {
-        "associations.txt or associate.txt"
-    }
-
     fn lists(&self) -> [&'static str; 2] {
         [NAMES[0]; 2]
     }

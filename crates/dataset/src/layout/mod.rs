@@ -14,6 +14,7 @@
 //! `camera.txt` give one, see [`crate::Dataset::open`].
 
 mod associations;
+mod find;
 mod intrinsics;
 mod nerfstudio;
 mod open3d;
@@ -31,9 +32,9 @@ use garad_core::{Se3, StampedPose};
 
 pub(crate) use self::intrinsics::scale_to;
 use crate::calibration::Calibration;
-use crate::dataset::OpenOptions;
 use crate::errors::DatasetError;
 use crate::list::Entry;
+use crate::options::OpenOptions;
 use crate::source::Source;
 
 /// All layouts, in the order in which they are tried.
@@ -85,9 +86,6 @@ pub(crate) type NumberedPose = (usize, Result<Option<Se3>, DatasetError>);
 pub(crate) trait Layout: Debug + Sync {
     /// Its name, for messages.
     fn name(&self) -> &'static str;
-
-    /// The files it is recognised by, for messages.
-    fn looked_for(&self) -> &'static str;
 
     /// The lists or folders that name colour and depth images, for messages.
     fn lists(&self) -> [&'static str; 2];
@@ -142,12 +140,6 @@ pub(crate) fn detect(source: &Source) -> Option<&'static dyn Layout> {
     ALL.into_iter().find(|layout| layout.matches(source))
 }
 
-/// All layouts in words.
-pub(crate) fn all_in_words() -> String {
-    let words = ALL.map(|layout| format!("{} ({})", layout.looked_for(), layout.name()));
-    words.join("; ")
-}
-
 /// Gives the poses the times of their frames.
 fn truth_by_number(
     poses: Result<Vec<NumberedPose>, DatasetError>,
@@ -196,4 +188,17 @@ fn truth_by_number(
         remarks.notes.push(note);
     }
     Ok(Some(truth).filter(|truth| !truth.is_empty()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::ALL;
+
+    #[test]
+    fn messages_name_every_layout() {
+        for layout in ALL {
+            let name = format!("({})", layout.name());
+            assert!(crate::errors::LAYOUTS.contains(&name), "{name}");
+        }
+    }
 }

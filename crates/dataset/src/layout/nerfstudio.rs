@@ -142,10 +142,6 @@ impl Layout for Nerfstudio {
         "nerfstudio or Polycam"
     }
 
-    fn looked_for(&self) -> &'static str {
-        FILE
-    }
-
     fn lists(&self) -> [&'static str; 2] {
         [FILE; 2]
     }

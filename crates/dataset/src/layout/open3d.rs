@@ -49,10 +49,6 @@ impl Layout for Open3d {
         "Open3D or RealSense recorder"
     }
 
-    fn looked_for(&self) -> &'static str {
-        "color/ or image/, and depth/"
-    }
-
     fn lists(&self) -> [&'static str; 2] {
         ["color", "depth"]
     }

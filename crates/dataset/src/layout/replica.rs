@@ -49,10 +49,6 @@ impl Layout for Replica {
         "Replica, as NICE-SLAM ships it"
     }
 
-    fn looked_for(&self) -> &'static str {
-        "results/frame000000.jpg and results/depth000000.png"
-    }
-
     fn lists(&self) -> [&'static str; 2] {
         ["results"; 2]
     }

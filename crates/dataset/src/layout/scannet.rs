@@ -32,10 +32,6 @@ impl Layout for ScanNet {
         "ScanNet export"
     }
 
-    fn looked_for(&self) -> &'static str {
-        "color/, depth/ and pose/ or intrinsic/"
-    }
-
     fn lists(&self) -> [&'static str; 2] {
         ["color", "depth"]
     }

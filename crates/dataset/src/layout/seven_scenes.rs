@@ -34,10 +34,6 @@ impl Layout for SevenScenes {
         "7-Scenes"
     }
 
-    fn looked_for(&self) -> &'static str {
-        "frame-000000.color.png and frame-000000.depth.png"
-    }
-
     fn lists(&self) -> [&'static str; 2] {
         ["frame-*.color.png", "frame-*.depth.png"]
     }

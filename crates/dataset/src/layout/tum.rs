@@ -22,10 +22,6 @@ impl Layout for Tum {
         "TUM or BONN"
     }
 
-    fn looked_for(&self) -> &'static str {
-        "rgb.txt and depth.txt"
-    }
-
     fn lists(&self) -> [&'static str; 2] {
         [COLOUR, DEPTH]
     }

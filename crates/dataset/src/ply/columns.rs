@@ -5,7 +5,7 @@ use std::path::Path;
 use garad_core::{GaussianMap, KeyframeId, Label, Real, sh};
 use serde_ply::ScalarType;
 
-use super::read::{Names, Refused, error};
+use super::property::{Names, Refused, error};
 use crate::errors::DatasetError;
 
 const PROPERTIES: &str = "the properties of 3D Gaussian Splatting";

@@ -14,7 +14,7 @@ use garad_core::{GaussianMap, Label, Real, sh};
 use serde_ply::ElementDef;
 
 use super::columns::{logit, push};
-use super::read::{Refused, error, names};
+use super::property::{Refused, error, names};
 use crate::errors::DatasetError;
 
 /// Gaussians that share bounds.

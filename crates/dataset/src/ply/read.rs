@@ -1,6 +1,5 @@
 //! PLY files to maps. `serde-ply` reads headers and numbers; what it lets through is checked here.
 
-use std::collections::BTreeMap;
 use std::fmt;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, ErrorKind, Read};
@@ -8,10 +7,11 @@ use std::path::Path;
 
 use garad_core::GaussianMap;
 use serde::de::{Deserialize, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
-use serde_ply::{DeserializeError, ElementDef, PlyReader, PropertyType, RowVisitor, ScalarType};
+use serde_ply::{DeserializeError, ElementDef, PlyReader, RowVisitor};
 
 use super::columns::Columns;
 use super::packed::Packed;
+use super::property::{Refused, error, names};
 use crate::errors::{DatasetError, excerpt};
 use crate::limits;
 
@@ -84,14 +84,6 @@ pub fn parse_ply(path: &Path, reader: &mut impl BufRead) -> Result<GaussianMap<f
 
 const HEADER: &str = "`format NAME 1.0` with NAME ascii, binary_little_endian or binary_big_endian, \
                       one `element vertex N`, its properties, `end_header`";
-
-pub(super) fn error(path: &Path, found: impl Into<String>, expected: &'static str) -> DatasetError {
-    DatasetError::Ply {
-        path: path.to_path_buf(),
-        found: found.into(),
-        expected,
-    }
-}
 
 /// The bytes up to and with `end_header`, at most [`limits::PLY_HEADER_BYTES`], and whether numbers are
 /// text. Lines of an unknown kind are refused.
@@ -190,9 +182,6 @@ impl<'de> Deserialize<'de> for Cell {
     }
 }
 
-/// What was found, and what was expected.
-pub(super) type Refused = (String, &'static str);
-
 /// The Gaussians of a file, as its elements are read.
 struct Vertices {
     layout: Layout,
@@ -250,22 +239,4 @@ impl Vertices {
             Layout::Plain(_) => Ok(()),
         }
     }
-}
-
-/// Position and type of each property of an element; lists have none.
-pub(super) type Names<'a> = BTreeMap<&'a str, (usize, Option<ScalarType>)>;
-
-pub(super) fn names<'a>(path: &Path, element: &'a ElementDef) -> Result<Names<'a>, DatasetError> {
-    let mut names = BTreeMap::new();
-    for (i, property) in element.properties.iter().enumerate() {
-        let kind = match property.property_type {
-            PropertyType::Scalar(kind) => Some(kind),
-            PropertyType::List { .. } => None,
-        };
-        if names.insert(property.name.as_str(), (i, kind)).is_some() {
-            let found = format!("two properties {}", property.name);
-            return Err(error(path, found, "each property once"));
-        }
-    }
-    Ok(names)
 }

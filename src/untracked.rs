@@ -2,7 +2,7 @@
 
 use garad_dataset::{Calibration, DepthRange};
 
-use super::RunResult;
+use crate::run::RunResult;
 
 /// The commonest reason. `depth`: of the first frames.
 #[must_use]
