@@ -167,7 +167,7 @@ fn clones_and_children_are_added_and_faded_ones_pruned() {
         error_of_last_frame(&grown, &scene),
         error_of_last_frame(&plain, &scene),
     );
-    assert!(dense < 1.05 * sparse, "no worse: {sparse} to {dense}");
+    assert!(dense < sparse, "better: {sparse} to {dense}"); // 0.00866 to 0.00848
     config.densify.min_opacity = 0.6;
     let (pruned, _) = run(&scene, config, Par::Threads(2));
     let logits = &pruned.gaussians().expect("at rest").opacity_logits;
