@@ -3,7 +3,8 @@
 //! The types that all other crates share; this crate depends on none of them.
 //! Reading order: [`real`] (where every transcendental function comes from) → [`so3`], [`se3`]
 //! (poses) → [`camera`] (projection, distortion) → [`image`], [`undistort`], [`pyramid`] → [`gaussian`], [`sh`],
-//! [`sh_rotation`] (the map) → [`par`] (threads that never change a result). [`chi_square`] holds the
+//! [`sh_rotation`] (the map) → [`par`] (threads that never change a result),
+//! [`lanes`] (nor do instruction sets). [`chi_square`] holds the
 //! thresholds of every gate.
 
 pub mod camera;
@@ -12,6 +13,7 @@ pub mod exp;
 pub mod gaussian;
 pub mod ids;
 pub mod image;
+pub mod lanes;
 pub mod par;
 pub mod pyramid;
 pub mod real;

@@ -22,11 +22,10 @@ mod lanes;
 mod splat;
 mod tiles;
 
+use std::array::from_fn;
 use std::slice::ChunksMut;
 
 use garad_core::{Camera, GaussianMap, Image, Par, Real, Se3};
-use wide::bytemuck::cast;
-use wide::f32x8;
 
 use self::backward::{Rows, Sums, TileBackward};
 use self::bin::{Bands, Columns, Entry};
@@ -241,19 +240,15 @@ impl<'a> Stripe<'a> {
     fn write(&mut self, pixels: &TilePixels, x0: usize, background: [f32; 3]) {
         let size = [self.width, self.color.len() / self.width];
         for (i, block) in pixels.blocks.iter().enumerate() {
-            let light = block.transmittance.abs();
-            let color = [0, 1, 2].map(|k| block.color[k] + light * f32x8::splat(background[k]));
-            let color = color.map(|c| c.to_array());
-            let t = light.to_array();
-            let opacity = (f32x8::ONE - light).to_array();
-            let depth = block.depth.to_array();
-            let contributors = cast::<_, [u32; 8]>(block.contributors);
-            // Whole numbers below 2²⁴.
-            let last = cast::<_, [u32; 8]>(block.last.fast_trunc_int());
+            let t = block.transmittance.map(f32::abs);
+            let light = |k: usize| from_fn(|lane| block.color[k][lane] + t[lane] * background[k]);
+            let color: [[f32; 8]; 3] = [light(0), light(1), light(2)];
+            let opacity = t.map(|t| 1.0 - t);
+            let [contributors, last] = [block.contributors, block.last].map(|v| v.map(whole));
             for (at, half) in rows_of(i, x0, size) {
                 put(&mut self.transmittance[at.clone()], &t[half..]);
                 put(&mut self.opacity[at.clone()], &opacity[half..]);
-                put(&mut self.depth[at.clone()], &depth[half..]);
+                put(&mut self.depth[at.clone()], &block.depth[half..]);
                 put(&mut self.contributors[at.clone()], &contributors[half..]);
                 put(&mut self.last[at.clone()], &last[half..]);
                 let rgb = |lane: usize| [0, 1, 2].map(|k| color[k][half + lane]);
@@ -261,4 +256,14 @@ impl<'a> Stripe<'a> {
             }
         }
     }
+}
+
+/// A whole number below 2²⁴.
+#[inline(always)]
+#[allow(
+    clippy::cast_possible_truncation,
+    reason = "whole and below 2²⁴; a conversion to 32 bits with a sign is one instruction"
+)]
+fn whole(value: f32) -> u32 {
+    (value as i32).cast_unsigned()
 }

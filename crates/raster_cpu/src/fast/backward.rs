@@ -1,8 +1,9 @@
 //! The backward pass of one tile, eight pixels at a time (R13, R14), and the sums of its splats.
 
 use garad_core::Real;
+use garad_core::lanes::{F32x8, Kernel, Lanes, dispatch};
 use wide::bytemuck::cast;
-use wide::{f32x4, f32x8, i32x4};
+use wide::{f32x4, i32x4};
 
 use super::forward::{BLOCKS, LocalSplat};
 use super::lanes::sums;
@@ -53,23 +54,24 @@ impl Sums {
 
 /// Eight pixels: [`crate::composite::PixelGradient`], field by field, as the backward pass moves on.
 #[derive(Debug, Clone, Copy)]
+#[repr(align(32))]
 struct Block {
-    d_color: [f32x8; 3],
-    d_depth: f32x8,
-    transmittance: f32x8,
-    behind: f32x8,
+    d_color: [[f32; 8]; 3],
+    d_depth: [f32; 8],
+    transmittance: [f32; 8],
+    behind: [f32; 8],
     /// Rank of the last splat blended, exact below 2²⁴.
-    last: f32x8,
+    last: [f32; 8],
 }
 
 impl Block {
     /// No splat was blended.
     const EMPTY: Self = Self {
-        d_color: [f32x8::ZERO; 3],
-        d_depth: f32x8::ZERO,
-        transmittance: f32x8::ZERO,
-        behind: f32x8::ZERO,
-        last: f32x8::ZERO,
+        d_color: [[0.0; 8]; 3],
+        d_depth: [0.0; 8],
+        transmittance: [0.0; 8],
+        behind: [0.0; 8],
+        last: [0.0; 8],
     };
 }
 
@@ -147,7 +149,7 @@ impl TileBackward {
             deepest: [0; BLOCKS],
             bounded: true,
         };
-        let mut size = f32x8::ZERO;
+        let mut size = f32x4::ZERO;
         for (pair, rows) in rows.chunks(2).enumerate() {
             for column in 0..rows[0].d_color.len().div_ceil(4).min(4) {
                 let i = column * 8 + pair;
@@ -156,7 +158,7 @@ impl TileBackward {
                     (row.four(4 * column), deepest(row, 4 * column))
                 });
                 tile.deepest[i] = deepest(&rows[0], 4 * column).max(below);
-                let of = |k: usize| cast::<[f32x4; 2], f32x8>([upper[k], lower[k]]);
+                let of = |k: usize| cast::<[f32x4; 2], [f32; 8]>([upper[k], lower[k]]);
                 let block = &mut tile.blocks[i];
                 block.d_color = [of(0), of(1), of(2)];
                 block.d_depth = of(3);
@@ -164,7 +166,7 @@ impl TileBackward {
                 block.behind = of(5);
                 block.last = of(6);
                 for k in 0..6 {
-                    size += of(k).abs();
+                    size += upper[k].abs() + lower[k].abs();
                 }
             }
         }
@@ -178,43 +180,75 @@ impl TileBackward {
     /// Each lane sums its own pixels in the order of blocks; eight lanes become one by
     /// [`sums`].
     pub(crate) fn accumulate<'a>(
-        self,
+        &mut self,
         entries: usize,
         splat_of: impl Fn(usize) -> &'a Splat,
         corner: [f32; 2],
         clamp: ClampGradient,
         put: impl FnMut(usize, &Sums),
     ) {
-        match (self.bounded, clamp) {
-            (true, ClampGradient::True) => {
-                self.walk::<true, true>(entries, splat_of, corner, put);
-            }
-            (true, ClampGradient::PassThrough) => {
-                self.walk::<true, false>(entries, splat_of, corner, put);
-            }
-            (false, ClampGradient::True) => {
-                self.walk::<false, true>(entries, splat_of, corner, put);
-            }
-            (false, ClampGradient::PassThrough) => {
-                self.walk::<false, false>(entries, splat_of, corner, put);
-            }
+        let Self {
+            blocks,
+            deepest,
+            bounded,
+        } = self;
+        macro_rules! walk {
+            ($bounded:literal, $clamp:literal) => {
+                dispatch(Walk::<_, _, $bounded, $clamp> {
+                    blocks,
+                    deepest,
+                    entries,
+                    splat_of,
+                    corner,
+                    put,
+                })
+            };
+        }
+        match (bounded, clamp) {
+            (true, ClampGradient::True) => walk!(true, true),
+            (true, ClampGradient::PassThrough) => walk!(true, false),
+            (false, ClampGradient::True) => walk!(false, true),
+            (false, ClampGradient::PassThrough) => walk!(false, false),
         }
     }
+}
 
-    fn walk<'a, const BOUNDED: bool, const CLAMP: bool>(
-        mut self,
-        entries: usize,
-        splat_of: impl Fn(usize) -> &'a Splat,
-        corner: [f32; 2],
-        mut put: impl FnMut(usize, &Sums),
-    ) {
+/// [`TileBackward::accumulate`], whose arguments it has.
+struct Walk<'t, S, P, const BOUNDED: bool, const CLAMP: bool> {
+    blocks: &'t mut [Block; BLOCKS],
+    deepest: &'t [u32; BLOCKS],
+    entries: usize,
+    splat_of: S,
+    corner: [f32; 2],
+    put: P,
+}
+
+impl<'a, S, P, const BOUNDED: bool, const CLAMP: bool> Kernel for Walk<'_, S, P, BOUNDED, CLAMP>
+where
+    S: Fn(usize) -> &'a Splat,
+    P: FnMut(usize, &Sums),
+{
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, lanes: L) {
+        let Self {
+            blocks,
+            deepest,
+            entries,
+            splat_of,
+            corner,
+            mut put,
+        } = self;
         // A pixel that does not take has weight 0; where gradients are not bounded, it is masked once more.
-        let only = |mask: f32x8, value: f32x8| if BOUNDED { value } else { mask & value };
-        let [min_alpha, max_alpha] = [MIN_ALPHA, MAX_ALPHA].map(|v| f32x8::splat(f32::from_f64(v)));
+        let only = |mask: L::F32x8, value: L::F32x8| if BOUNDED { value } else { mask & value };
+        let min_alpha = lanes.splat(f32::from_f64(MIN_ALPHA));
+        let max_alpha = lanes.splat(f32::from_f64(MAX_ALPHA));
+        let (zero, one) = (lanes.splat(0.0), lanes.splat(1.0));
         // Blocks ordered by the entry at which they begin; those that have begun.
         let mut waiting = [(0, 0); BLOCKS];
         for (i, waiting) in waiting.iter_mut().enumerate() {
-            *waiting = (self.deepest[i] as usize, 1u32 << i);
+            *waiting = (deepest[i] as usize, 1u32 << i);
         }
         waiting.sort_unstable();
         let mut waiting = waiting.iter().rev().peekable();
@@ -225,37 +259,38 @@ impl TileBackward {
                 begun |= bit;
             }
             let splat = splat_of(entry);
-            let mut reach = splat.reach(corner) & begun;
+            let mut reach = splat.reach(lanes, corner) & begun;
             if reach == 0 {
                 continue;
             }
-            let local = LocalSplat::new(splat, corner);
-            let rank = f32x8::splat(entry as f32);
-            let color = splat.color.map(f32x8::splat);
-            let depth = f32x8::splat(splat.depth_m);
-            let mut sum = [f32x8::ZERO; 10];
+            let local = LocalSplat::new(lanes, splat, corner);
+            let rank = lanes.splat(entry as f32);
+            let mut sum = [zero; 10];
             while reach != 0 {
                 let i = reach.trailing_zeros() as usize % BLOCKS;
                 reach &= reach - 1;
-                let block = &mut self.blocks[i];
+                let block = &mut blocks[i];
                 let (density, r, dy) = local.density(i);
-                let alpha = max_alpha.fast_min(density);
-                let take = alpha.simd_ge(min_alpha) & block.last.simd_gt(rank);
+                let alpha = max_alpha.min(density);
+                let take = alpha.ge(min_alpha) & lanes.load(block.last).gt(rank);
                 let alpha = alpha & take;
-                let reached = block.transmittance / (f32x8::ONE - alpha);
+                let reached = lanes.load(block.transmittance) / (one - alpha);
                 let weight = alpha * reached;
-                block.transmittance = reached;
-                let mut own = block.d_depth * depth;
+                block.transmittance = reached.to_array();
+                let d_depth = lanes.load(block.d_depth);
+                let mut own = d_depth * local.depth;
                 for channel in 0..3 {
-                    own += block.d_color[channel] * color[channel];
-                    sum[6 + channel] += only(take, weight * block.d_color[channel]);
+                    let d_color = lanes.load(block.d_color[channel]);
+                    own += d_color * local.color[channel];
+                    sum[6 + channel] += only(take, weight * d_color);
                 }
-                sum[9] += only(take, weight * block.d_depth);
-                let more = own - block.behind;
-                block.behind += only(take, alpha * more);
+                sum[9] += only(take, weight * d_depth);
+                let behind = lanes.load(block.behind);
+                let more = own - behind;
+                block.behind = (behind + only(take, alpha * more)).to_array();
                 // density = alpha but where alpha is clamped.
                 let g = if CLAMP {
-                    (weight & density.simd_le(max_alpha)) * more
+                    (weight & density.le(max_alpha)) * more
                 } else {
                     (density & take) * reached * more
                 };
@@ -271,7 +306,7 @@ impl TileBackward {
             let total = Sums([
                 sums([sum[0], sum[1], sum[2], sum[3]]),
                 sums([sum[4], sum[5], sum[6], sum[7]]),
-                sums([sum[8], sum[9], f32x8::ZERO, f32x8::ZERO]),
+                sums([sum[8], sum[9], zero, zero]),
             ]);
             put(entry, &total);
         }

@@ -1,7 +1,6 @@
 //! [`coverage()`]: how much of each pixel a map covers, and how far away, without its colour.
 
 use garad_core::{Camera, GaussianMap, Image, Par, Se3};
-use wide::f32x8;
 
 use super::bin::Bands;
 use super::tiles::{TILE_PX, blend_band, can_serve, put, rows_of, splats_sorted};
@@ -55,11 +54,10 @@ pub fn coverage(
             let size = [width, opacity.len() / width];
             blend_band::<false>(&splats, bands.list(band), band, size, |pixels, x0| {
                 for (i, block) in pixels.blocks.iter().enumerate() {
-                    let covered = (f32x8::ONE - block.transmittance.abs()).to_array();
-                    let depth_m = block.depth.to_array();
+                    let covered = block.transmittance.map(|t| 1.0 - t.abs());
                     for (at, half) in rows_of(i, x0, size) {
                         put(&mut opacity[at.clone()], &covered[half..]);
-                        put(&mut depth[at], &depth_m[half..]);
+                        put(&mut depth[at], &block.depth[half..]);
                     }
                 }
             });

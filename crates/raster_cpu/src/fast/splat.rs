@@ -1,7 +1,7 @@
 //! [`Splat`]: what a tile reads of a splat, and which of the tile's pixels it can reach.
 
+use garad_core::lanes::{F32x8, Lanes};
 use garad_core::{Par, Real};
-use wide::f32x8;
 
 use crate::project::FOOTPRINT_CELL_PX;
 use crate::splat::Projected;
@@ -77,38 +77,44 @@ impl Splat {
     /// solved for the columns of each row. A block that is left out would have failed the
     /// test against 1/255 in every pixel, so this changes the time and nothing else.
     #[inline(always)]
-    pub(crate) fn reach(&self, [x, y]: [f32; 2]) -> u32 {
+    pub(crate) fn reach<L: Lanes>(&self, lanes: L, [x, y]: [f32; 2]) -> u32 {
         let ([u, v], [half_u, half_v], side) = (self.mean_px, self.half_px, 15.0);
         let beside = (u + half_u < x) | (u - half_u > x + side);
         if beside | (v + half_v < y) | (v - half_v > y + side) {
             return 0;
         }
-        let margin = f32x8::splat(margin(u));
-        // The interval of every second row of the tile, from `first` on; beyond the ellipse an
-        // empty one.
-        let of_rows = |first: f32| {
-            let steps = f32x8::new([0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 14.0]);
-            let dy = f32x8::splat(first - v) + steps;
-            let rest = f32x8::splat(self.k) + f32x8::splat(self.across) * dy * dy;
-            // A positive floor: 0 times an infinite variance would be no number.
-            let square = rest.fast_max(f32x8::splat(1e-30)) * f32x8::splat(self.var_along);
-            let lean = f32x8::splat(self.shear) * dy;
-            let middle = f32x8::splat(u - x) - lean;
-            let half = square.sqrt() + (margin + lean.abs() * f32x8::splat(1e-6));
-            let inside = rest.simd_ge(f32x8::ZERO);
-            let half = inside.bitselect(half, f32x8::splat(-1e30));
-            (middle - half, middle + half)
-        };
-        let (upper, lower) = (of_rows(y), of_rows(y + 1.0));
+        let (upper, lower) = (
+            self.columns_of(lanes, [x, y]),
+            self.columns_of(lanes, [x, y + 1.0]),
+        );
         // The columns that either row of a pair of rows reaches, from the tile's first.
-        let first = upper.0.fast_min(lower.0);
-        let last = upper.1.fast_max(lower.1);
-        let hit = |column: f32| {
-            let starts = first.simd_le(f32x8::splat(column + 3.0));
-            let ends = last.simd_ge(f32x8::splat(column));
-            (starts & ends).to_bitmask()
-        };
-        hit(0.0) | hit(4.0) << 8 | hit(8.0) << 16 | hit(12.0) << 24
+        let first = upper.0.min(lower.0);
+        let last = upper.1.max(lower.1);
+        let mut reach = 0;
+        for quarter in 0..4u8 {
+            let column = 4.0 * f32::from(quarter);
+            let starts = first.le(lanes.splat(column + 3.0));
+            let ends = last.ge(lanes.splat(column));
+            reach |= (starts & ends).signs() << (8 * quarter);
+        }
+        reach
+    }
+
+    /// The interval of columns from x on in which every second row from y on is reached; beyond the ellipse an empty one.
+    #[inline(always)]
+    fn columns_of<L: Lanes>(&self, lanes: L, [x, y]: [f32; 2]) -> (L::F32x8, L::F32x8) {
+        let [u, v] = self.mean_px;
+        let steps = lanes.load([0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 14.0]);
+        let dy = lanes.splat(y - v) + steps;
+        let rest = lanes.splat(self.k) + lanes.splat(self.across) * dy * dy;
+        // A positive floor: 0 times an infinite variance would be no number.
+        let square = rest.max(lanes.splat(1e-30)) * lanes.splat(self.var_along);
+        let lean = lanes.splat(self.shear) * dy;
+        let middle = lanes.splat(u - x) - lean;
+        let half = square.sqrt() + (lanes.splat(margin(u)) + lean.abs() * lanes.splat(1e-6));
+        let inside = rest.ge(lanes.splat(0.0));
+        let half = inside.select(half, lanes.splat(-1e30));
+        (middle - half, middle + half)
     }
 }
 
