@@ -207,6 +207,67 @@ fn a_port_that_hangs_is_ended() {
     assert!(code == 1 && text.contains("TIMEOUT"), "{text}");
 }
 
+/// One process for all: ourselves, then scripts that leave out, fail, write nothing, and die in the middle.
+#[test]
+fn a_port_may_be_started_once_for_all() {
+    let folder = TempDir::new().expect("a folder");
+    let keep = folder.path().join("two words");
+    let port = ourselves("golden answer --list {list} --width f32");
+    let stages = ["--stage", "sh", "--stage", "se3"];
+    let check = ["check", "--exec-batch", &port, "--keep", arg(&keep)];
+    let (code, text) = golden(&[&check[..], &stages].concat());
+    assert_eq!(code, 0, "{text}");
+    let status = fs::read_to_string(keep.join("sh/degree_3/status")).expect("there");
+    assert_eq!(status, "0\n", "the protocol");
+    let list = fs::read_to_string(keep.join("cases.tsv")).expect("there");
+    assert!(
+        list.lines().count() >= 4 && list.contains("two words"),
+        "{list}"
+    );
+
+    let silent = ourselves("--version");
+    let (code, text) = golden(&["check", "--exec-batch", &silent, "--stage", "sh"]);
+    assert!(code == 1 && text.contains("missing"), "{text}");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_batch_says_how_each_case_ended() {
+    let folder = TempDir::new().expect("a folder");
+    let script = folder.path().join("port.sh");
+    let port = format!("sh '{}' {{list}}", script.display());
+    let own = env!("CARGO_BIN_EXE_garad");
+    let run = |body: &str, more: &[&str]| {
+        let text = format!("while IFS='\t' read -r stage case out; do\n{body}\ndone\n");
+        fs::write(&script, text).expect("written");
+        let check = ["check", "--exec-batch", &port, "--stage", "raster"];
+        golden(&[&check, more].concat())
+    };
+    let answer = format!("'{own}' golden answer \"$case\" \"$out\" && echo 0 >\"$out/status\"");
+    let rest = |special: &str| format!("case \"$case\" in {special};; *) {answer};; esac");
+
+    let (code, text) = run("echo 77 >\"$out/status\"", &[]);
+    assert!(
+        code == 0 && text.contains("unsupported: raster"),
+        "{code}: {text}"
+    );
+    let (code, text) = run(&rest("*needles) echo 5 no memory >\"$out/status\""), &[]);
+    assert!(code == 1 && text.contains("status 5: no memory"), "{text}");
+    assert_eq!(text.matches("CRASH").count(), 1, "the others pass: {text}");
+    // Cases are in the order cuts, needles, one, sh3_80: two are not reached.
+    let (code, text) = run(&rest("*needles) echo out of luck; kill -9 $$"), &[]);
+    assert!(code == 1 && text.contains("out of luck"), "{text}");
+    let crash = text
+        .lines()
+        .find(|l| l.contains("CRASH"))
+        .unwrap_or_default();
+    assert!(crash.contains("needles"), "names the case: {text}");
+    let two = text.matches("missing").count();
+    assert!(two >= 2, "not reached: {text}");
+    let (code, text) = run("sleep 60", &["--timeout", "0.1"]);
+    assert!(code == 1 && text.contains("TIMEOUT"), "{text}");
+}
+
 #[test]
 fn mistakes_in_the_command_are_named() {
     let mistakes: &[(&[&str], &str)] = &[
@@ -220,6 +281,9 @@ fn mistakes_in_the_command_are_named() {
         (&["check", "--self", "--cases", "/nowhere"], "/nowhere"),
         (&["check", "--actual", "/nowhere"], "/nowhere"),
         (&["check", "--exec", "a 'b"], "without its end"),
+        (&["check", "--exec-batch", "a 'b"], "--exec-batch: a 'b"),
+        (&["answer", "--list", "/nowhere"], "/nowhere"),
+        (&["answer", "/tmp"], "OUT"),
         (
             &["check", "--exec", "/nowhere/port", "--stage", "sh"],
             "/nowhere/port",
