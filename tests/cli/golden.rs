@@ -207,6 +207,53 @@ fn a_port_that_hangs_is_ended() {
     assert!(code == 1 && text.contains("TIMEOUT"), "{text}");
 }
 
+/// A small one of each kind passes in both widths; the same options write the same bytes.
+#[test]
+fn cases_are_made_and_passed() {
+    let folder = TempDir::new().expect("a folder");
+    let [one, two] = ["one", "two"].map(|name| folder.path().join(name));
+    let options = [
+        "--scene",
+        "stack",
+        "--gaussians",
+        "300",
+        "--size",
+        "70x50",
+        "--sh",
+        "2",
+    ];
+    for (root, threads) in [(&one, "1"), (&two, "2")] {
+        let (code, text) = golden(
+            &[
+                &["make", "-o", arg(root), "--threads", threads][..],
+                &options,
+            ]
+            .concat(),
+        );
+        assert!(
+            code == 0 && text.contains("raster_backward"),
+            "{code}: {text}"
+        );
+    }
+    for file in [
+        "raster/stack_300_70x50_sh2_1/color.npy",
+        "raster_backward/stack_300_70x50_sh2_1/scale_d_sh.npy",
+    ] {
+        let [a, b] = [&one, &two].map(|root| fs::read(root.join(file)).expect("written"));
+        assert!(a == b, "{file}");
+    }
+    let (code, text) = golden(&["make", "--stage", "adam", "--count", "50", "-o", arg(&one)]);
+    assert_eq!(code, 0, "{text}");
+    for width in ["--self", "--self=f32"] {
+        let (code, text) = golden(&["check", "--cases", arg(&one), width]);
+        assert!(code == 0 && text.contains("3 "), "{width}: {text}");
+    }
+    let opacities = two.join("raster_backward/stack_300_70x50_sh2_1/d_opacities.npy");
+    damage(&opacities, |i, v| if i == 7 { v + 100.0 } else { v });
+    let (code, text) = golden(&["check", "--cases", arg(&two), "--self"]);
+    assert!(code == 1 && text.contains("of 300"), "one row: {text}");
+}
+
 /// One process for all: ourselves, then scripts that leave out, fail, write nothing, and die in the middle.
 #[test]
 fn a_port_may_be_started_once_for_all() {
@@ -284,6 +331,11 @@ fn mistakes_in_the_command_are_named() {
         (&["check", "--exec-batch", "a 'b"], "--exec-batch: a 'b"),
         (&["answer", "--list", "/nowhere"], "/nowhere"),
         (&["answer", "/tmp"], "OUT"),
+        (&["make", "-o", "/nowhere", "--stage", "sh"], "--stage sh"),
+        (
+            &["make", "-o", "/nowhere", "--size", "9x640"],
+            "--size 9x640",
+        ),
         (
             &["check", "--exec", "/nowhere/port", "--stage", "sh"],
             "/nowhere/port",
