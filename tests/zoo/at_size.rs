@@ -139,8 +139,8 @@ fn half(v: Number) -> Number {
     N(f32::from_bits(kept))
 }
 
-fn answer(case: Given<'_>, fault: Option<Fault>) -> Outputs {
-    let (gaussians, view, mut splats) = scene::<false, false>(case, &PLAIN);
+fn answer(case: Given<'_>, fault: Option<Fault>, how: &How) -> Outputs {
+    let (gaussians, view, mut splats) = scene::<false, false>(case, how);
     if fault == Some(Fault::RadiusCapped) {
         for s in &mut splats {
             s.radius = s.radius.min(CAP_PX);
@@ -154,8 +154,8 @@ fn answer(case: Given<'_>, fault: Option<Fault>) -> Outputs {
     if case.0.stage() == "raster" {
         let mut images = Images::default();
         for at in pixels() {
-            let pixel = walk(&splats, &tiles.lists[tile_of(at)], at, &PLAIN);
-            paint(&splats, &pixel, &background, &PLAIN, &mut images);
+            let pixel = walk(&splats, &tiles.lists[tile_of(at)], at, how);
+            paint(&splats, &pixel, &background, how, &mut images);
         }
         return images_out(&splats, &order, images);
     }
@@ -173,15 +173,21 @@ fn answer(case: Given<'_>, fault: Option<Fault>) -> Outputs {
         let list = &tiles.lists[tile];
         for (x, y) in pixels {
             let k = index(y * view.size[0] + x);
-            let pixel = walk(&splats, list, (x, y), &PLAIN);
+            let pixel = walk(&splats, list, (x, y), how);
             let up = (color[k], depth[k], opacity[k]);
-            pixel_backward(&splats, &pixel, up, &background, false, &PLAIN, &mut part);
+            pixel_backward(&splats, &pixel, up, &background, false, how, &mut part);
+            if fault == Some(Fault::SumsInHalf) {
+                for &i in list {
+                    part[i].color = part[i].color.map(half);
+                    part[i].opacity = half(part[i].opacity);
+                }
+            }
         }
         for (rank, &i) in list.iter().enumerate() {
             let sum = std::mem::take(&mut part[i]);
             tiles_of[i] += 1;
             let lost = match fault {
-                Some(Fault::AtomicsLost) => i % 1000 == 7 && tiles_of[i] == 1,
+                Some(Fault::AtomicsLost) => i % 1000 == 7 && tiles_of[i] % 2 == 1,
                 Some(Fault::EightTilesAtMost) => tiles_of[i] > 8,
                 Some(Fault::OneBatchBackward) => rank >= BATCH,
                 _ => false,
@@ -190,17 +196,10 @@ fn answer(case: Given<'_>, fault: Option<Fault>) -> Outputs {
                 continue;
             }
             total[i].add(&sum);
-            if fault == Some(Fault::SumsInHalf) {
-                let t = &mut total[i];
-                t.mean_px = t.mean_px.map(half);
-                t.cov = t.cov.map(half);
-                t.color = t.color.map(half);
-                t.opacity = half(t.opacity);
-            }
         }
     }
-    finish(&splats, &mut total, &PLAIN);
-    gradients_out(&gaussians, &view, &splats, &total, false, &PLAIN)
+    finish(&splats, &mut total, how);
+    gradients_out(&gaussians, &view, &splats, &total, false, how)
 }
 
 /// More than 256 tiles, the last row of them cut, and lists of several batches.
@@ -221,8 +220,8 @@ fn made(gaussians: usize) -> Vec<Case> {
     both.iter().map(load).collect()
 }
 
-fn failure(case: &Case, fault: Option<Fault>) -> Option<String> {
-    let answer = answer(Given(case.inputs()), fault);
+fn failure(case: &Case, fault: Option<Fault>, how: &How) -> Option<String> {
+    let answer = answer(Given(case.inputs()), fault, how);
     let verdict = judge(case, &shaped(case, &answer), false);
     let text = || garad_golden::report::table(std::slice::from_ref(&verdict));
     (verdict.outcome != Outcome::Pass).then(text)
@@ -242,11 +241,23 @@ fn faults_at_size(gaussians: usize) {
     );
     let mut wrong = Vec::new();
     for case in &cases {
-        wrong.extend(failure(case, None).map(|report| format!("false alarm: {report}")));
+        for (density, exp_ulp) in [
+            (Density::Slanted, 0),
+            (Density::Plain, 4),
+            (Density::Product, 2),
+        ] {
+            let how = How {
+                density,
+                exp_ulp,
+                ..PLAIN
+            };
+            let alarm = failure(case, None, &how);
+            wrong.extend(alarm.map(|report| format!("false alarm, {how:?}: {report}")));
+        }
     }
     for port in FAULTY_PORTS {
         let case = cases.iter().find(|c| c.stage() == port.stage);
-        if failure(case.expect("made"), Some(port.fault)).is_none() {
+        if failure(case.expect("made"), Some(port.fault), &PLAIN).is_none() {
             wrong.push(format!("{:?} is not found by {}", port.fault, port.stage));
         }
     }

@@ -180,7 +180,7 @@ pub const TABLE: &[Tolerance] = &[
     vector("raster_backward.f32.d_depths", 0.0, 6.5e-5, "as the colours: a sum of the same weights"),
     // raster_backward by rows, for cases made at size (`garad golden make`): f64, then f32 by the flag `made`
     by_row("raster_backward.rows", [1e-10, 1e-12, 1e-3, 1e3], "f64: the forward's roundings, 1e-13 of each term, amplified by thin splats seen 640 px from the origin"),
-    by_row("raster_backward.f32.rows", [1e-6, 2.4e-7, 2e-2, 3e3], "16 and 4 roundings of 6e-8 of what the row and its terms are, by error analysis; pixels near a cut move a row by up to 1/255 of a term"),
+    by_row("raster_backward.f32.rows", [1e-6, 6e-8, 2e-2, 1e2], "measured on scenes of 3000: 0.12 roundings of 6e-8 of the scale at 99 % of the rows, 14 at the worst, which a pixel near a cut has moved"),
     // losses, in f64
     abs_rel("losses.value", 0.0, 3e-14, "measured 1e-14 on flat images, whose variances are differences of 1e-16 over C2 = 9e-4; else 2e-15"),
     vector("losses.gradient", 0.0, 1.5e-13, "measured 5e-14 on flat images, 3e-14 on a photograph"),

@@ -107,11 +107,9 @@ pub(super) fn pixel(
             return false;
         }
         let thick = alpha >= MIN_ALPHA;
-        if let Some((other, drawn)) = before.filter(|(_, drawn)| *drawn || thick) {
-            let _ = drawn;
-            if !depths.told_apart(scene, splats, other, position) {
-                return false;
-            }
+        let close = |other| !depths.told_apart(scene, splats, other, position);
+        if before.is_some_and(|(other, drawn)| (drawn || thick) && close(other)) {
+            return false;
         }
         before = Some((position, thick));
         if !thick {
