@@ -377,6 +377,15 @@ mod tests {
             panic!("the same class");
         };
         assert!((abs - 5.4e-7).abs() < 1e-8, "1e-15 x 2^29 is {abs:e}");
+        let rows = named("raster_backward", "d_means", "raster_backward.rows");
+        assert_eq!(rows, "raster_backward.f32.rows", "rows stay rows");
+        let flags = ["made".to_owned()];
+        let color = of("raster", "color", "raster.color", &flags).name;
+        assert_eq!(color, "raster.f32.color_made", "of made cases");
+        let budget = |flags: &[String]| flips("raster", flags).unwrap().name;
+        assert_eq!(budget(&flags), "raster.f32.flips_made", "by the flag");
+        assert_eq!(budget(&[]), "raster.f32.flips", "without");
+        assert_eq!(flips("sh", &flags), None, "no cuts");
         let kept = of("pose_lm", "rotation", "pose.pose", &[]);
         assert_eq!(kept, *find("pose.pose").unwrap(), "1e-8 is no rounding");
     }
