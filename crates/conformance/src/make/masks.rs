@@ -64,65 +64,83 @@ impl Depths {
         Ok(Self(splats.iter().map(error).collect()))
     }
 
-    fn told_apart(&self, scene: &Scene, splats: &[Projected<f64>], a: usize, b: usize) -> bool {
+    /// Whether f32 may put two of them in the other order.
+    fn close(&self, scene: &Scene, splats: &[Projected<f64>], a: usize, b: usize) -> bool {
         let gap = (splats[a].depth_m - splats[b].depth_m).abs();
         let mean = |k: usize| scene.map.means[splats[k].index as usize].map(f64::to_bits);
-        mean(a) == mean(b) || gap > self.0[a] + self.0[b]
+        gap <= self.0[a] + self.0[b] && mean(a) != mean(b)
+    }
+
+    /// Whether the second of two places is too far behind the first for any error.
+    fn far(&self, splats: &[Projected<f64>], a: usize, b: usize) -> bool {
+        splats[b].depth_m - splats[a].depth_m > 2.0 * self.0[a].max(self.0[b])
     }
 
     /// Per place in the order: the same Gaussian stands there in f32.
     pub(super) fn order(&self, scene: &Scene, splats: &[Projected<f64>]) -> Vec<u8> {
-        let clear =
-            |k: usize| k == 0 || k >= splats.len() || self.told_apart(scene, splats, k - 1, k);
-        (0..splats.len())
-            .map(|k| u8::from(clear(k) && clear(k + 1)))
-            .collect()
+        let mut robust = vec![1; splats.len()];
+        for a in 0..splats.len() {
+            let near = (a + 1..splats.len()).take_while(|&b| !self.far(splats, a, b));
+            for b in near.filter(|&b| self.close(scene, splats, a, b)) {
+                (robust[a], robust[b]) = (0, 0);
+            }
+        }
+        robust
     }
 }
 
-/// Whether a pixel is away from every cut, and what it draws in an order that is certain.
+/// What f32 may decide otherwise at a pixel.
+pub(super) struct Uncertain {
+    /// Whether anything.
+    pub(super) any: bool,
+    /// Rows of pairs that are both drawn and may change places: each stands in the light of the other, or not.
+    pub(super) swapped: Vec<u32>,
+}
+
+/// Cuts near which a pixel is, and splats there whose order is not certain.
 pub(super) fn pixel(
     scene: &Scene,
     depths: &Depths,
     splats: &[Projected<f64>],
     list: &[u32],
     [x, y]: [usize; 2],
-) -> bool {
+) -> Uncertain {
     let mut left = 1.0f64;
-    let mut before: Option<(usize, bool)> = None;
+    let mut found = Uncertain {
+        any: false,
+        swapped: Vec::new(),
+    };
+    // Positions and whether they are drawn.
+    let mut before: Vec<(usize, bool)> = Vec::new();
     for &position in list {
         let position = position as usize;
         let s = &splats[position];
-        let f = &s.footprint;
-        let inside = (f.x0..f.x1).contains(&x) && (f.y0..f.y1).contains(&y);
         let (dx, dy) = (x as f64 - s.mean_px[0], y as f64 - s.mean_px[1]);
         let along = dx + s.shear * dy;
         let power = -0.5 * (s.conic[0] * along * along + s.inv_var_y * dy * dy);
-        let alpha = if inside {
-            MAX_ALPHA.min(s.opacity * libm::exp(power))
-        } else {
-            0.0
-        };
-        if (alpha / MIN_ALPHA - 1.0).abs() < CUT_MARGIN {
-            return false;
-        }
+        let alpha = MAX_ALPHA.min(s.opacity * libm::exp(power));
+        found.any |= (alpha / MIN_ALPHA - 1.0).abs() < CUT_MARGIN;
         let thick = alpha >= MIN_ALPHA;
-        let close = |other| !depths.told_apart(scene, splats, other, position);
-        if before.is_some_and(|(other, drawn)| (drawn || thick) && close(other)) {
-            return false;
+        let recent = before.iter().rev();
+        let recent = recent.take_while(|(other, _)| !depths.far(splats, *other, position));
+        for &(other, drawn) in recent {
+            if (thick || drawn) && depths.close(scene, splats, other, position) {
+                found.any = true;
+                if thick && drawn {
+                    found.swapped.extend([splats[other].index, s.index]);
+                }
+            }
         }
-        before = Some((position, thick));
+        before.push((position, thick));
         if !thick {
             continue;
         }
         let behind = left * (1.0 - alpha);
-        if (behind / MIN_TRANSMITTANCE - 1.0).abs() < LIGHT_MARGIN {
-            return false;
-        }
+        found.any |= (behind / MIN_TRANSMITTANCE - 1.0).abs() < LIGHT_MARGIN;
         if behind < MIN_TRANSMITTANCE {
             break;
         }
         left = behind;
     }
-    true
+    found
 }

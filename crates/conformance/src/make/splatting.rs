@@ -64,13 +64,19 @@ pub fn splatting(options: &SceneOptions, par: Par) -> Result<[Made; 2], Error> {
     tiles.put(&mut forward, splats);
     let depths = Depths::new(&scene, splats)?;
     let [width, height] = options.size;
-    let robust = par.map(height, |y| {
-        let clear = |x| masks::pixel(&scene, &depths, splats, tiles.of(x, y), [x, y]);
-        (0..width).map(|x| u8::from(clear(x))).collect::<Vec<u8>>()
+    let found = par.map(height, |y| {
+        let at = |x| masks::pixel(&scene, &depths, splats, tiles.of(x, y), [x, y]);
+        (0..width).map(at).collect::<Vec<_>>()
     });
+    let robust = found.iter().flatten().map(|pixel| u8::from(!pixel.any));
+    let robust: Vec<u8> = robust.collect();
+    let mut rows = vec![1u8; options.gaussians];
+    for &row in found.iter().flatten().flat_map(|pixel| &pixel.swapped) {
+        rows[row as usize] = 0;
+    }
     let mask = |values, shape: &[usize]| bytes(values, shape, Dtype::Bool);
     let unit = "away from alpha = 1/255 and T = 1e-4, and in an order certain in f32";
-    forward.input("robust", mask(robust.concat(), &[height, width]), unit);
+    forward.input("robust", mask(robust, &[height, width]), unit);
     let n = options.gaussians;
     let radii = masks::radii(n, splats);
     forward.input(
@@ -109,6 +115,11 @@ pub fn splatting(options: &SceneOptions, par: Par) -> Result<[Made; 2], Error> {
     let (map, camera, pose) = (&given.map, &given.camera, &given.pose);
     let scales = gradient_scales(map, camera, pose, &given.options, &image, &upstream, par)?;
     put_scales(&mut backward, scales);
+    for (name, ..) in BACKWARD.iter().filter(|(name, ..)| *name != "d_pose") {
+        let mask = mask(rows.clone(), &[n]);
+        let unit = "stands in an order certain in f32 wherever it is drawn";
+        backward.input(&format!("robust_{name}"), mask, unit);
+    }
     backward.expect(&found, BACKWARD)?;
     Ok([forward, backward])
 }

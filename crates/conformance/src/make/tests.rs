@@ -111,7 +111,9 @@ fn tile_lists_are_those_of_the_images() {
         assert!(last <= ranges[2 * tile + 1] - ranges[2 * tile], "pixel {i}");
     }
     assert!(
-        entries.iter().all(|&row| radii[row as usize] > 0),
+        entries
+            .iter()
+            .all(|&row| radii[usize::try_from(row).unwrap()] > 0),
         "visible"
     );
 }
