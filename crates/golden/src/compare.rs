@@ -10,11 +10,12 @@ use crate::tol::{Class, Tolerance};
 pub struct Comparison {
     /// Within tolerance.
     pub passed: bool,
-    /// Number of elements.
+    /// Number of elements (for [`Class::Rows`]: of rows).
     pub elements: usize,
-    /// Elements beyond their bound (for [`Class::Banded`]: beyond `tight`).
+    /// Elements beyond their bound (for [`Class::Banded`]: beyond `tight`; for [`Class::Rows`]: rows).
     pub outside: usize,
-    /// Largest error over tolerance; 0 for an exact answer, infinite for a wrong label or a NaN.
+    /// Largest error over tolerance; 0 for an exact answer, infinite for a wrong label or a NaN. Where a share may
+    /// be beyond its bound, over what no element may exceed.
     pub worst: f64,
     /// Where it is; empty for an empty tensor.
     pub worst_index: Vec<usize>,
@@ -34,11 +35,15 @@ impl fmt::Display for Comparison {
         let verdict = if self.passed { "within" } else { "NOT within" };
         write!(
             f,
-            "{verdict} {} ({:?}): {} of {} elements outside; worst at {:?}: expected {:?}, got {:?}, {:.3} x tolerance",
+            "{verdict} {} ({:?}): {} of {} {} outside; worst at {:?}: expected {:?}, got {:?}, {:.3} x tolerance",
             self.tolerance.name,
             self.tolerance.class,
             self.outside,
             self.elements,
+            match self.tolerance.class {
+                Class::Rows { .. } => "rows",
+                _ => "elements",
+            },
             self.worst_index,
             self.expected,
             self.got,
@@ -68,6 +73,19 @@ pub fn compare(
     got: &[f64],
     tolerance: &Tolerance,
 ) -> Result<Comparison, CountMismatch> {
+    compare_scaled(expected, got, tolerance, None)
+}
+
+/// [`compare`] with the scale of each row for [`Class::Rows`], which the other classes do not use.
+///
+/// # Errors
+/// [`CountMismatch`] as [`compare`], also if there is not one scale for each row.
+pub fn compare_scaled(
+    expected: &Tensor,
+    got: &[f64],
+    tolerance: &Tolerance,
+    scales: Option<&[f64]>,
+) -> Result<Comparison, CountMismatch> {
     let values = expected.f64();
     if values.len() != got.len() {
         return Err(CountMismatch {
@@ -76,10 +94,10 @@ pub fn compare(
             shape: expected.shape().to_vec(),
         });
     }
-    let ratio = ratio_of(tolerance.class, expected.dtype(), &values);
+    let bounds = Bounds::new(tolerance.class, expected, &values, scales)?;
     let mut comparison = Comparison {
         passed: true,
-        elements: values.len(),
+        elements: bounds.judged(values.len()),
         outside: 0,
         worst: 0.0,
         worst_index: Vec::new(),
@@ -88,26 +106,36 @@ pub fn compare(
         bound: 0.0,
         tolerance: *tolerance,
     };
-    // For a band, `worst` is measured by the hard bound and `outside` by the tight one.
-    let limit = match tolerance.class {
-        Class::Banded { tight, hard, .. } => tight / hard,
-        _ => 1.0,
+    // Where there is a budget, `worst` is measured by the hard bound and `outside` by the tight one.
+    let (limit, share) = match tolerance.class {
+        Class::Banded { tight, share, hard } => (tight / hard, share),
+        Class::Rows { share, hard, .. } => (hard.recip(), share),
+        _ => (1.0, 0.0),
     };
+    let mut worst_at = 0;
+    // The row that was last found to be outside.
+    let mut outside_row = None;
     for (i, (&e, &g)) in values.iter().zip(got).enumerate() {
-        let r = if same(e, g) { 0.0 } else { ratio(e, g) };
+        let r = if same(e, g) {
+            0.0
+        } else {
+            ratio(tolerance.class, expected.dtype(), e, g, bounds.at(i, e))
+        };
         let r = if r.is_nan() { f64::INFINITY } else { r };
-        comparison.outside += usize::from(r > limit);
+        let row = bounds.row_of(i);
+        if r > limit && outside_row != Some(row) {
+            comparison.outside += 1;
+            outside_row = Some(row);
+        }
         if i == 0 || r > comparison.worst {
             comparison.worst = r;
             comparison.worst_index = expected.unravel(i);
             (comparison.expected, comparison.got) = (e, g);
+            worst_at = i;
         }
     }
-    let allowed = match tolerance.class {
-        Class::Banded { share, .. } => share * values.len() as f64,
-        _ => 0.0,
-    };
-    comparison.bound = bound_of(tolerance.class, largest(&values), comparison.expected);
+    let allowed = share * comparison.elements as f64;
+    comparison.bound = bounds.at(worst_at, comparison.expected);
     comparison.passed = comparison.worst <= 1.0 && comparison.outside as f64 <= allowed;
     Ok(comparison)
 }
@@ -119,35 +147,99 @@ fn same(expected: f64, got: f64) -> bool {
 }
 
 /// Error over tolerance of two numbers that are not the same; infinite if either is not finite.
-fn ratio_of(class: Class, dtype: Dtype, expected: &[f64]) -> impl Fn(f64, f64) -> f64 {
-    let largest = largest(expected);
-    move |e, g| {
-        if !(e.is_finite() && g.is_finite()) {
-            return f64::INFINITY;
-        }
-        let error = match class {
-            Class::Ulp(_) => ulps_apart(dtype, e, g),
-            _ => (g - e).abs(),
-        };
-        error / bound_of(class, largest, e)
+fn ratio(class: Class, dtype: Dtype, e: f64, g: f64, bound: f64) -> f64 {
+    if !(e.is_finite() && g.is_finite()) {
+        return f64::INFINITY;
     }
+    let error = match class {
+        Class::Ulp(_) => ulps_apart(dtype, e, g),
+        _ => (g - e).abs(),
+    };
+    error / bound
 }
 
-/// The largest finite number of a tensor.
-fn largest(expected: &[f64]) -> f64 {
-    let finite = expected.iter().filter(|v| v.is_finite());
+/// The largest finite number of a list.
+fn largest(values: &[f64]) -> f64 {
+    let finite = values.iter().filter(|v| v.is_finite());
     finite.fold(0.0, |a: f64, v| a.max(v.abs()))
 }
 
-/// Largest error at an element: in representable numbers for [`Class::Ulp`], else in the tensor's unit.
-fn bound_of(class: Class, largest: f64, expected: f64) -> f64 {
-    match class {
-        Class::Exact => 0.0,
-        Class::Ulp(n) => n as f64,
-        Class::AbsRel { abs, rel } => abs + rel * expected.abs(),
-        Class::Vector { abs, rel } => abs + rel * largest,
-        Class::Banded { hard, .. } => hard,
+/// Largest error at each element: in representable numbers for [`Class::Ulp`], else in the tensor's unit.
+struct Bounds {
+    class: Class,
+    /// Of the tensor.
+    largest: f64,
+    /// Numbers in a row for [`Class::Rows`], else 1.
+    width: usize,
+    /// Of each row for [`Class::Rows`], else none.
+    rows: Vec<f64>,
+}
+
+impl Bounds {
+    fn new(
+        class: Class,
+        expected: &Tensor,
+        values: &[f64],
+        scales: Option<&[f64]>,
+    ) -> Result<Self, CountMismatch> {
+        let mut bounds = Self {
+            class,
+            largest: largest(values),
+            width: 1,
+            rows: Vec::new(),
+        };
+        let Class::Rows {
+            rel, floor, hard, ..
+        } = class
+        else {
+            return Ok(bounds);
+        };
+        let behind = expected.shape().get(1..).unwrap_or_default();
+        bounds.width = behind.iter().product::<usize>().max(1);
+        let sizes: Vec<f64> = values.chunks(bounds.width).map(largest).collect();
+        if let Some(scales) = scales.filter(|scales| scales.len() != sizes.len()) {
+            return Err(CountMismatch {
+                expected: sizes.len(),
+                got: scales.len(),
+                shape: expected.shape().to_vec(),
+            });
+        }
+        let typical = lower_median(sizes.iter().copied().filter(|&s| s > 0.0).collect());
+        let scale = |row: usize| scales.map_or(typical, |scales| scales[row]);
+        let bound = |(row, size): (usize, &f64)| hard * (rel * size + floor * scale(row));
+        bounds.rows = sizes.iter().enumerate().map(bound).collect();
+        Ok(bounds)
     }
+
+    /// How many things are judged of a tensor of so many numbers.
+    fn judged(&self, elements: usize) -> usize {
+        match self.class {
+            Class::Rows { .. } => self.rows.len(),
+            _ => elements,
+        }
+    }
+
+    fn row_of(&self, element: usize) -> usize {
+        element / self.width
+    }
+
+    fn at(&self, element: usize, expected: f64) -> f64 {
+        match self.class {
+            Class::Exact => 0.0,
+            Class::Ulp(n) => n as f64,
+            Class::AbsRel { abs, rel } => abs + rel * expected.abs(),
+            Class::Vector { abs, rel } => abs + rel * self.largest,
+            Class::Banded { hard, .. } => hard,
+            Class::Rows { .. } => self.rows.get(self.row_of(element)).copied().unwrap_or(0.0),
+        }
+    }
+}
+
+/// Of a sorted list of n numbers that at (n - 1)/2, rounded down; 0 of an empty one.
+fn lower_median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let middle = values.len().saturating_sub(1) / 2;
+    values.get(middle).copied().unwrap_or(0.0)
 }
 
 /// Representable numbers between two finite ones, counted in f32 for f32 tensors, else in f64.
@@ -393,5 +485,89 @@ mod tests {
                 c.worst
             );
         }
+    }
+
+    /// Rows of two; sizes 8, 0, 2 and 1000, so the lower median of those that are not zero is 8. With half of it as
+    /// floor: 0.25 size + 4 is 6, 4, 4.5 and 254, and four times that in any.
+    #[test]
+    fn rows_by_hand() {
+        let class = Class::Rows {
+            rel: 0.25,
+            floor: 0.5,
+            share: 0.25,
+            hard: 4.0,
+        };
+        let values = [8.0, -1.0, 0.0, 0.0, -2.0, 1.0, 3.0, 1000.0];
+        let expected = Tensor::from(values.to_vec()).reshape(&[4, 2]).unwrap();
+        let judged = |scales: Option<&[f64]>, row: usize, error: [f64; 2]| {
+            let mut got = values;
+            (got[2 * row], got[2 * row + 1]) =
+                (got[2 * row] + error[0], got[2 * row + 1] - error[1]);
+            compare_scaled(&expected, &got, &tolerance(class), scales).unwrap()
+        };
+        for (row, error, passed, outside, bound) in [
+            (0, [6.0, 6.0], true, 0, 24.0),
+            (0, [6.5, 7.0], true, 1, 24.0),
+            (0, [0.0, 24.0], true, 1, 24.0),
+            (0, [24.5, 0.0], false, 1, 24.0),
+            (1, [4.0, 0.0], true, 0, 16.0),
+            (1, [0.0, 16.5], false, 1, 16.0),
+            (2, [4.75, 0.0], true, 1, 18.0),
+            (3, [254.0, 0.0], true, 0, 1016.0),
+            (3, [0.0, 1017.0], false, 1, 1016.0),
+        ] {
+            let c = judged(None, row, error);
+            assert_eq!(
+                (c.passed, c.outside),
+                (passed, outside),
+                "{row} {error:?}: {c}"
+            );
+            assert!(
+                (c.bound - bound).abs() < 1e-12,
+                "{row} {error:?}: {}",
+                c.bound
+            );
+            assert_eq!((c.elements, c.worst_index[0]), (4, row), "{row}: {c}");
+            assert!(
+                (c.worst - error[0].max(error[1]) / bound).abs() < 1e-15,
+                "{c}"
+            );
+        }
+        // With scales of its own: 0.25 · 8 + 0.5 · 2 = 3, and nothing at all where the scale is 0, too.
+        let scales = [2.0, 0.0, 1.0, 0.0];
+        assert_eq!(
+            judged(Some(&scales), 0, [3.0, 0.0]).outside,
+            0,
+            "at the bound"
+        );
+        assert_eq!(judged(Some(&scales), 0, [3.5, 0.0]).outside, 1, "beyond");
+        assert!(
+            !judged(Some(&scales), 1, [1e-300, 0.0]).passed,
+            "no part in the image"
+        );
+        let few = compare_scaled(&expected, &values, &tolerance(class), Some(&scales[1..]));
+        assert!(few.is_err(), "a scale per row");
+        let c = judged(None, 0, [25.0, 0.0]);
+        assert!(c.to_string().contains("1 of 4 rows outside"), "{c}");
+    }
+
+    /// The budget counts rows, not numbers: both rows of a quarter of eight.
+    #[test]
+    fn the_budget_of_rows_and_columns_of_numbers() {
+        let class = Class::Rows {
+            rel: 0.5,
+            floor: 0.0,
+            share: 0.25,
+            hard: 2.0,
+        };
+        let expected = Tensor::from(vec![4.0; 8]);
+        let judged = |wrong: usize| {
+            let got: Vec<f64> = (0..8).map(|i| if i < wrong { 7.0 } else { 4.0 }).collect();
+            compare(&expected, &got, &tolerance(class)).unwrap()
+        };
+        assert!(judged(2).passed, "two rows of one number");
+        assert!(!judged(3).passed, "three");
+        assert!(!verdict(class, &[4.0], &[f64::NAN]).passed, "NaN");
+        assert!(verdict(class, &[], &[]).passed, "nothing");
     }
 }

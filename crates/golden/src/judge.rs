@@ -7,7 +7,7 @@
 use crate::alternatives::nearest;
 use crate::answers::Answers;
 use crate::case::Case;
-use crate::compare::{Comparison, compare};
+use crate::compare::{Comparison, compare, compare_scaled};
 use crate::explain::explain;
 use crate::metrics::Metrics;
 use crate::tensor::{Dtype, Tensor};
@@ -99,8 +99,9 @@ fn judge_output(case: &Case, name: &str, answer: &Tensor, in_f32: bool) -> Outpu
         .as_ref()
         .filter(|_| tolerance.class != Class::Exact)
         .and_then(|_| tol::find(&format!("{}.f32.flips", case.stage())));
+    let scales = case.inputs().get(&format!("scale_{name}")).map(Tensor::f64);
     let verdict_on = |numbers: &[f64]| -> Option<Comparison> {
-        let tight = compare(expected, &away(numbers), &tolerance).ok()?;
+        let tight = compare_scaled(expected, &away(numbers), &tolerance, scales.as_deref()).ok()?;
         let all = flips.and_then(|flips| compare(expected, numbers, flips).ok());
         Some(match all {
             Some(all) if tight.passed && !all.passed => all,

@@ -103,6 +103,12 @@ fn describe(output: &OutputVerdict) -> String {
                 100.0 * share
             )
         }
+        Class::Rows { share, hard, .. } => format!(
+            "within {:.3e}, all but {:.1} % of the rows within {:.3e}",
+            c.bound,
+            100.0 * share,
+            c.bound / hard
+        ),
         _ => format!("within {:.3e}", c.bound),
     };
     format!(

@@ -60,6 +60,15 @@ pub(super) fn tolerances(cases: &[Case]) -> Result<()> {
             Class::Banded { tight, share, hard } => {
                 format!("{tight:e}; {} %: {hard:e}", 100.0 * share)
             }
+            Class::Rows {
+                rel,
+                floor,
+                share,
+                hard,
+            } => format!(
+                "{rel:e} |row| + {floor:e} scale; {} % of rows: {hard} times",
+                100.0 * share
+            ),
         };
         say(&format!(
             "{:36} {rule:28} {:6} {}",
