@@ -30,6 +30,12 @@ const CLASSES: &[(&str, &str)] = &[
         "banded",
         "|g - e| <= hard, and |g - e| / hard <= tight / hard for all but at most share of the elements",
     ),
+    (
+        "rows",
+        "a row is all behind the first index, its size the largest finite |e| in it, its scale number i of the input \
+         scale_OUTPUT or without that the lower median of the sizes above 0; b = hard (rel size + floor scale): |g - e| <= b, and \
+         |g - e| / b <= 1 / hard in all but at most share of the rows",
+    ),
 ];
 
 const F32_RULE: &str = "for an answer of dtype f32 where f64 is expected: the first of `names` that is in `tolerances` \
@@ -52,6 +58,20 @@ pub fn class(class: Class) -> (&'static str, Map<String, Value>) {
         Class::Ulp(n) => ("ulp", vec![("ulp", json!(n))]),
         Class::AbsRel { abs, rel } => ("abs_rel", vec![("abs", json!(abs)), ("rel", json!(rel))]),
         Class::Vector { abs, rel } => ("vector", vec![("abs", json!(abs)), ("rel", json!(rel))]),
+        Class::Rows {
+            rel,
+            floor,
+            share,
+            hard,
+        } => (
+            "rows",
+            vec![
+                ("rel", json!(rel)),
+                ("floor", json!(floor)),
+                ("share", json!(share)),
+                ("hard", json!(hard)),
+            ],
+        ),
         Class::Banded { tight, share, hard } => (
             "banded",
             vec![
@@ -178,6 +198,12 @@ mod tests {
             share: 0.25,
             hard: 2.0,
         };
+        let rows = Class::Rows {
+            rel: 5.5,
+            floor: 6.5,
+            share: 0.75,
+            hard: 7.5,
+        };
         for (of, name, numbers) in [
             (Class::Exact, "exact", json!({})),
             (Class::Ulp(3), "ulp", json!({ "ulp": 3 })),
@@ -190,6 +216,11 @@ mod tests {
                 Class::Vector { abs: 3.5, rel: 4.5 },
                 "vector",
                 json!({ "abs": 3.5, "rel": 4.5 }),
+            ),
+            (
+                rows,
+                "rows",
+                json!({ "rel": 5.5, "floor": 6.5, "share": 0.75, "hard": 7.5 }),
             ),
             (
                 band,

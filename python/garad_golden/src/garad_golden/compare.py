@@ -8,13 +8,16 @@ For an element, with e expected, g got, E all that is expected; error / bound <=
     abs_rel  |g - e|                        abs + rel |e|
     vector   |g - e|                        abs + rel max |E|, the largest of the finite numbers
     banded   |g - e|                        hard; and error / bound <= tight / hard for all but share of the elements
+    rows     |g - e|                        hard (rel size + floor scale); and error / bound <= 1 / hard in all but share of the rows
+
+A row is everything behind the first index, its size the largest of its finite |e|. Its scale is what it is a sum of, without
+signs; where that is not given, it is for all rows the lower median of the sizes above 0.
 
 Equal numbers, two NaNs and two infinities of one sign have no error; anything else that is not finite has an infinite one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,11 +34,11 @@ class Comparison:
     """The verdict on one array."""
 
     passed: bool
-    #: Number of elements.
+    #: Number of elements (rows: of rows).
     elements: int
-    #: Elements beyond their bound (banded: beyond `tight`).
+    #: Elements beyond their bound (banded: beyond `tight`; rows: rows beyond bound / hard).
     outside: int
-    #: Largest error over bound; infinite for a wrong label or a NaN.
+    #: Largest error over bound; infinite for a wrong label or a NaN. Where a share may be beyond, over what none may exceed.
     worst: float
     #: Where it is; empty for an empty array and for a single number.
     at: list[int]
@@ -62,28 +65,41 @@ def _apart(expected: Array, e: Floats, g: Floats) -> Floats:
     return np.where(negative[0] == negative[1], high - low, high + low).astype(np.float64)
 
 
-def _abs_rel(tolerance: Tolerance, e: Floats, largest: float) -> Floats:
-    return tolerance.numbers["abs"] + tolerance.numbers["rel"] * np.abs(e)
+def _largest(values: Floats) -> float:
+    """The largest finite size; 0 of none."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.max()) if finite.size else 0.0
 
 
-def _vector(tolerance: Tolerance, e: Floats, largest: float) -> Floats:
-    return np.full(e.shape, tolerance.numbers["abs"] + tolerance.numbers["rel"] * largest)
+#: Classes by name.
+CLASSES = ("exact", "ulp", "abs_rel", "vector", "banded", "rows")
 
 
-#: Class to the bound of each element.
-CLASSES: dict[str, Callable[[Tolerance, Floats, float], Floats]] = {
-    "exact": lambda tolerance, e, largest: np.zeros(e.shape),
-    "ulp": lambda tolerance, e, largest: np.full(e.shape, float(tolerance.numbers["ulp"])),
-    "abs_rel": _abs_rel,
-    "vector": _vector,
-    "banded": lambda tolerance, e, largest: np.full(e.shape, tolerance.numbers["hard"]),
-}
+def _bounds(expected: Array, e: Floats, tolerance: Tolerance, scales: Floats | None) -> Floats:
+    """The bound of each element."""
+    n = tolerance.numbers
+    if tolerance.rule == "abs_rel":
+        return n["abs"] + n["rel"] * np.abs(e)
+    if tolerance.rule == "rows":
+        rows = e.reshape(expected.shape[0] if expected.ndim else 1, -1)
+        sizes = np.array([_largest(row) for row in rows])
+        if scales is None:
+            above = np.sort(sizes[sizes > 0.0])
+            scales = np.full(len(sizes), above[(above.size - 1) // 2] if above.size else 0.0)
+        if len(scales) != len(sizes):
+            raise ValueError(f"{len(scales)} scales; expected one for each of {len(sizes)} rows")
+        return np.repeat(n["hard"] * (n["rel"] * sizes + n["floor"] * scales), rows.shape[1])
+    one = {
+        "exact": lambda: 0.0, "ulp": lambda: float(n["ulp"]), "banded": lambda: n["hard"],
+        "vector": lambda: n["abs"] + n["rel"] * _largest(e),
+    }
+    return np.full(e.shape, one[tolerance.rule]())
 
 
-def compare(expected: Array, got: npt.ArrayLike, tolerance: Tolerance) -> Comparison:
-    """Compares an answer, in C order, with the expected array.
+def compare(expected: Array, got: npt.ArrayLike, tolerance: Tolerance, scales: Floats | None = None) -> Comparison:
+    """Compares an answer, in C order, with the expected array; `scales` are those of the rows, for the class rows.
 
-    Raises ValueError if the number of elements differs.
+    Raises ValueError if the number of elements differs, or if there is not one scale for each row.
     """
     e = np.asarray(expected, np.float64).reshape(-1)
     g = np.asarray(got, np.float64).reshape(-1)
@@ -91,22 +107,22 @@ def compare(expected: Array, got: npt.ArrayLike, tolerance: Tolerance) -> Compar
         raise ValueError(f"{g.size} elements; expected {e.size} {list(expected.shape)}")
     if e.size == 0:
         return Comparison(True, 0, 0, 0.0, [], 0.0, 0.0, 0.0, tolerance)
-    finite = np.abs(e[np.isfinite(e)])
-    largest = float(finite.max()) if finite.size else 0.0
+    n = tolerance.numbers
     with np.errstate(all="ignore"):
-        bound = CLASSES[tolerance.rule](tolerance, e, largest)
+        bound = _bounds(expected, e, tolerance, scales)
         error = _apart(expected, e, g) if tolerance.rule == "ulp" else np.abs(g - e)
         ratio = np.where(np.isfinite(e) & np.isfinite(g), error / bound, np.inf)
     ratio[(e == g) | (np.isnan(e) & np.isnan(g))] = 0.0
     ratio[np.isnan(ratio)] = np.inf
-    limit, allowed = 1.0, 0.0
+    judged, limit, share = ratio, 1.0, 0.0
     if tolerance.rule == "banded":
-        limit = tolerance.numbers["tight"] / tolerance.numbers["hard"]
-        allowed = tolerance.numbers["share"] * e.size
-    outside = int(np.count_nonzero(ratio > limit))
+        limit, share = n["tight"] / n["hard"], n["share"]
+    elif tolerance.rule == "rows":
+        judged, limit, share = ratio.reshape(expected.shape[0] if expected.ndim else 1, -1).max(axis=1), 1.0 / n["hard"], n["share"]
+    outside = int(np.count_nonzero(judged > limit))
     i = int(np.argmax(ratio))
     worst = float(ratio[i])
     return Comparison(
-        passed=worst <= 1.0 and outside <= allowed, elements=e.size, outside=outside, worst=worst,
+        passed=worst <= 1.0 and outside <= share * judged.size, elements=judged.size, outside=outside, worst=worst,
         at=[int(k) for k in np.unravel_index(i, expected.shape)] if expected.shape else [],
         expected=float(e[i]), got=float(g[i]), bound=float(bound[i]), tolerance=tolerance)

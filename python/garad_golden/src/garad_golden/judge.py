@@ -178,11 +178,17 @@ def _judge_output(case: Case, name: str, answer: Array, in_f32: bool) -> OutputV
         return OutputVerdict(name, UNREADABLE, dtype, note=f"no tolerance '{case.tolerances[name]}' in the table")
     e: Floats = expected.astype(np.float64).reshape(-1)
     g: Floats = np.ascontiguousarray(answer).astype(np.float64).reshape(-1)
-    comparison = compare(expected, g, tolerance)
+    scales = case.inputs.get(f"scale_{name}")
+    scales = None if scales is None else scales.astype(np.float64).reshape(-1)
+    try:
+        comparison = compare(expected, g, tolerance, scales)
+    except ValueError:
+        # Not one scale for each row: a mistake of the case.
+        return OutputVerdict(name, SHAPE, dtype, note=_other_shape(expected, answer, False))
     robust = case.inputs.get("robust") if in_f32 else None
     if robust is not None and robust.size and expected.shape[:robust.ndim] == robust.shape:
         away = np.repeat(robust.reshape(-1) != 0, e.size // robust.size)
-        comparison = compare(expected, np.where(away, g, e), tolerance)
+        comparison = compare(expected, np.where(away, g, e), tolerance, scales)
         flips = case.table.tolerances.get(f"{case.stage}.f32.flips")
         if flips is not None and tolerance.rule != "exact" and comparison.passed:
             everywhere = compare(expected, g, flips)

@@ -53,6 +53,8 @@ def _describe(output: OutputVerdict) -> str:
         "exact": "exactly",
         "ulp": f"within {numbers.get('ulp')} representable numbers",
         "banded": f"within {numbers.get('hard')}, all but {100.0 * numbers.get('share', 0.0):.1f} % within {numbers.get('tight')}",
+        "rows": f"within {c.bound:.3e}, all but {100.0 * numbers.get('share', 0.0):.1f} % of the rows within "
+                f"{c.bound / numbers.get('hard', 1.0):.3e}",
     }.get(c.tolerance.rule, f"within {c.bound:.3e}")
     return (f"{output.verdict} {output.name}{c.at}: got {c.got!r}, expected {c.expected!r} {bound} ({c.tolerance.name}); "
             f"{c.outside} of {c.elements} are outside")
