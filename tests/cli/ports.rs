@@ -30,15 +30,23 @@ fn found(names: &[&str]) -> Option<String> {
 fn run(command: &mut Command) {
     let output = command.output().expect("it was started before");
     let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && said.is_empty(), "{command:?}: {said}");
+    assert!(
+        output.status.success() && said.is_empty(),
+        "{command:?}: {said}"
+    );
 }
 
 fn compiled(compiler: &str, source: &str, folder: &Path) -> PathBuf {
     let out = folder.join(source.trim_end_matches(".cpp"));
     let warnings = ["-Wall", "-Wextra", "-Wpedantic", "-Werror"];
     let mut command = Command::new(compiler);
-    command.args(["-std=c++17", "-ffp-contract=off"]).args(warnings);
-    run(command.arg(ports().join("cpp").join(source)).arg("-o").arg(&out));
+    command
+        .args(["-std=c++17", "-ffp-contract=off"])
+        .args(warnings);
+    run(command
+        .arg(ports().join("cpp").join(source))
+        .arg("-o")
+        .arg(&out));
     out
 }
 
@@ -57,9 +65,19 @@ fn reads_every_input(mut reader: Command) {
         for (name, input) in case.inputs().tensors() {
             let file = fs::read(out(case).join(format!("{name}.npy"))).expect("written");
             let again = npy::decode(&file).expect("a file of numpy");
-            let bits = |values: Vec<f64>| values.into_iter().map(|v| if v.is_nan() { u64::MAX } else { v.to_bits() }).collect::<Vec<_>>();
+            let bits = |values: Vec<f64>| {
+                values
+                    .into_iter()
+                    .map(|v| if v.is_nan() { u64::MAX } else { v.to_bits() })
+                    .collect::<Vec<_>>()
+            };
             assert_eq!(again.shape(), input.shape(), "{} {name}", case.name());
-            assert_eq!(bits(again.f64()), bits(input.f64()), "{} {name}", case.name());
+            assert_eq!(
+                bits(again.f64()),
+                bits(input.f64()),
+                "{} {name}",
+                case.name()
+            );
             read += 1;
         }
     }
@@ -68,8 +86,13 @@ fn reads_every_input(mut reader: Command) {
 
 /// `sh` passes, as a stage of this type; another stage is not done.
 fn passes(port: &str, dtype: &str) {
-    let check = ["golden", "check", "--stage", "sh", "--stage", "decode", "--exec"];
-    let output = program().args(check).arg(format!("{port} {{case}} {{out}}")).output();
+    let check = [
+        "golden", "check", "--stage", "sh", "--stage", "decode", "--exec",
+    ];
+    let output = program()
+        .args(check)
+        .arg(format!("{port} {{case}} {{out}}"))
+        .output();
     let output = output.expect("the program starts");
     let said = String::from_utf8_lossy(&output.stdout);
     let words = ["1 pass", &format!("({dtype})"), "unsupported: decode"];
@@ -85,7 +108,11 @@ fn the_port_in_cpp_passes() {
     let folder = TempDir::new().expect("a folder");
     let port = compiled(&compiler, "sh.cpp", folder.path());
     passes(&format!("'{}'", port.display()), "f32");
-    reads_every_input(Command::new(compiled(&compiler, "inputs.cpp", folder.path())));
+    reads_every_input(Command::new(compiled(
+        &compiler,
+        "inputs.cpp",
+        folder.path(),
+    )));
 }
 
 #[test]

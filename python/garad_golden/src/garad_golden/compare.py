@@ -62,7 +62,8 @@ def _apart(expected: Array, e: Floats, g: Floats) -> Floats:
         magnitude.append(np.abs(raw).view(bits).astype(np.uint64))
         negative.append(np.signbit(raw))
     high, low = np.maximum(*magnitude), np.minimum(*magnitude)
-    return np.where(negative[0] == negative[1], high - low, high + low).astype(np.float64)
+    apart: Floats = np.where(negative[0] == negative[1], high - low, high + low).astype(np.float64)
+    return apart
 
 
 def _largest(values: Floats) -> float:
@@ -79,15 +80,14 @@ def _bounds(expected: Array, e: Floats, tolerance: Tolerance, scales: Floats | N
     """The bound of each element."""
     n = tolerance.numbers
     if tolerance.rule == "abs_rel":
-        return n["abs"] + n["rel"] * np.abs(e)
+        each: Floats = n["abs"] + n["rel"] * np.abs(e)
+        return each
     if tolerance.rule == "rows":
         rows = e.reshape(expected.shape[0] if expected.ndim else 1, -1)
         sizes = np.array([_largest(row) for row in rows])
         if scales is None:
             above = np.sort(sizes[sizes > 0.0])
             scales = np.full(len(sizes), above[(above.size - 1) // 2] if above.size else 0.0)
-        if len(scales) != len(sizes):
-            raise ValueError(f"{len(scales)} scales; expected one for each of {len(sizes)} rows")
         return np.repeat(n["hard"] * (n["rel"] * sizes + n["floor"] * scales), rows.shape[1])
     one = {
         "exact": lambda: 0.0, "ulp": lambda: float(n["ulp"]), "banded": lambda: n["hard"],
@@ -105,6 +105,9 @@ def compare(expected: Array, got: npt.ArrayLike, tolerance: Tolerance, scales: F
     g = np.asarray(got, np.float64).reshape(-1)
     if e.size != g.size:
         raise ValueError(f"{g.size} elements; expected {e.size} {list(expected.shape)}")
+    count = 0 if e.size == 0 else expected.shape[0] if expected.ndim else 1
+    if tolerance.rule == "rows" and scales is not None and len(scales) != count:
+        raise ValueError(f"{len(scales)} scales; expected one for each of {count} rows")
     if e.size == 0:
         return Comparison(True, 0, 0, 0.0, [], 0.0, 0.0, 0.0, tolerance)
     n = tolerance.numbers
@@ -118,7 +121,7 @@ def compare(expected: Array, got: npt.ArrayLike, tolerance: Tolerance, scales: F
     if tolerance.rule == "banded":
         limit, share = n["tight"] / n["hard"], n["share"]
     elif tolerance.rule == "rows":
-        judged, limit, share = ratio.reshape(expected.shape[0] if expected.ndim else 1, -1).max(axis=1), 1.0 / n["hard"], n["share"]
+        judged, limit, share = ratio.reshape(count, -1).max(axis=1), 1.0 / n["hard"], n["share"]
     outside = int(np.count_nonzero(judged > limit))
     i = int(np.argmax(ratio))
     worst = float(ratio[i])

@@ -150,7 +150,7 @@ def _nearest(case: Case, answers: dict[str, Array | NpyError]) -> dict[str, Arra
     total = np.zeros((rows, solutions))
     for name, answer in sorted(several.items()):
         off = answer.astype(np.float64) - case.outputs[name].astype(np.float64)[:, None]
-        squares = (off * off).reshape(rows, solutions, -1)
+        squares = (off * off).reshape(rows, solutions, math.prod(off.shape[2:]))
         sums = np.zeros((rows, solutions))
         for i in range(squares.shape[2]):
             sums = sums + squares[:, :, i]
@@ -250,7 +250,7 @@ def _other_shape(expected: Array, answer: Array, exact: bool) -> str:
         return note + ": as many numbers; reshape"
     if exact and answer.ndim and expected.ndim and answer.shape[1:] == expected.shape[1:]:
         def rows(array: Array) -> list[bytes]:
-            return [row.tobytes() for row in array.astype(np.float64).reshape(len(array), -1)]
+            return [row.tobytes() for row in array.astype(np.float64)]
 
         theirs, mine = rows(expected), rows(answer)
         missing, extra = (sum(row not in there for row in own) for own, there in ((theirs, set(mine)), (mine, set(theirs))))

@@ -65,7 +65,8 @@ def _header(text: str) -> tuple[str, bool, tuple[int, ...]]:
     start = re.match(rf"{_BLANK}\{{", text)
     if start is None:
         raise NpyError("header: expected {")
-    at, found = start.end(), {}
+    at = start.end()
+    found: dict[str, Any] = {}
     while item := _ITEM.match(text, at):
         key, word, name, sizes = item.groups()
         if key in found:
