@@ -1,6 +1,8 @@
 //! `garad golden`: any backend against the golden cases.
 
+mod batch;
 mod list;
+mod make;
 mod root;
 mod tolerances;
 
@@ -35,6 +37,8 @@ pub(crate) enum Command {
     Check(CheckArgs),
     /// Write this project's outputs of one case as OUTPUT.npy: what a port would write.
     Answer(AnswerArgs),
+    /// Make cases of any size, with the values of this project's f64 reference.
+    Make(make::MakeArgs),
     /// The tolerances and the reasons for them.
     Tolerances(TolerancesArgs),
 }
@@ -89,10 +93,10 @@ pub(crate) struct CheckArgs {
     /// Outputs that are not there do not fail, nor cases without any.
     #[arg(long)]
     allow_missing: bool,
-    /// With --exec: seconds per case.
+    /// With --exec and --exec-batch: seconds per case; for a batch, so many times the number of cases in all.
     #[arg(long, value_name = "S", default_value_t = 60.0)]
     timeout: f64,
-    /// With --exec: keep what the port writes, as DIR/STAGE/CASE/OUTPUT.npy.
+    /// With --exec and --exec-batch: keep what the port writes, as DIR/STAGE/CASE/OUTPUT.npy.
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
     /// Write every verdict as JSON.
@@ -110,6 +114,11 @@ struct Backend {
     /// OUTPUT.npy, {stage} the stage. Exit code 77 says "not this stage". No shell is involved.
     #[arg(long, value_name = "CMD")]
     exec: Option<String>,
+    /// Program to start once for all cases. {list}, also its standard input, is a file with a line
+    /// `STAGE TAB CASE-FOLDER TAB OUT-FOLDER` per case, to be done in this order: write OUTPUT.npy into the last folder, then
+    /// a file `status` with the exit code that --exec would have given (0, 77, else a crash with a text behind it).
+    #[arg(long, value_name = "CMD")]
+    exec_batch: Option<String>,
     /// This project's own stages, in f64 or with --self=f32 in f32.
     #[arg(long = "self", value_name = "WIDTH", num_args = 0..=1, require_equals = true, default_missing_value = "f64")]
     own: Option<OwnWidth>,
@@ -118,9 +127,14 @@ struct Backend {
 #[derive(Debug, Args)]
 pub(crate) struct AnswerArgs {
     /// Folder of the case.
-    case: PathBuf,
+    #[arg(required_unless_present = "list")]
+    case: Option<PathBuf>,
     /// Folder for the outputs.
-    out: PathBuf,
+    #[arg(required_unless_present = "list")]
+    out: Option<PathBuf>,
+    /// Instead: a list of cases, as a port is given by check --exec-batch.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["case", "out"])]
+    list: Option<PathBuf>,
     /// In f64, or in f32 where a stage has both.
     #[arg(long, value_enum, default_value = "f64")]
     width: OwnWidth,
@@ -146,6 +160,7 @@ pub(crate) fn run(command: &Command) -> Result<ExitCode> {
         Command::List(args) => list::list(&args.filter.load()?, args.json)?,
         Command::Check(args) => return check(args),
         Command::Answer(args) => return answer(args),
+        Command::Make(args) => make::make(args)?,
         Command::Tolerances(args) => {
             let cases = Case::load_root(&args.at.root()?)?;
             match args.json {
@@ -201,20 +216,54 @@ fn own(case: &Case, width: Width) -> Result<Option<Outputs>> {
 
 /// Exit code 77 for a stage that is not ours, as for any port.
 fn answer(args: &AnswerArgs) -> Result<ExitCode> {
-    let case = Case::load(&args.case)?;
-    let Some(outputs) = own(&case, args.width.into())? else {
-        let known: Vec<&str> = garad_conformance::STAGES.iter().map(|s| s.0).collect();
-        progress::note(&format!(
-            "{}: not one of {}",
-            case.stage(),
-            known.join(", ")
-        ));
-        return Ok(ExitCode::from(UNSUPPORTED));
+    if let Some(list) = &args.list {
+        return answer_list(list, args.width.into());
+    }
+    let (Some(folder), Some(out)) = (&args.case, &args.out) else {
+        bail!("a case and a folder, or --list");
     };
-    make_folder(&args.out)?;
+    let case = Case::load(folder)?;
+    if write_answer(&case, out, args.width.into())? {
+        return Ok(ExitCode::SUCCESS);
+    }
+    let known: Vec<&str> = garad_conformance::STAGES.iter().map(|s| s.0).collect();
+    let known = known.join(", ");
+    progress::note(&format!("{}: not one of {known}", case.stage()));
+    Ok(ExitCode::from(UNSUPPORTED))
+}
+
+/// Whether the stage is one of ours; then its outputs are written.
+fn write_answer(case: &Case, out: &Path, width: Width) -> Result<bool> {
+    let Some(outputs) = own(case, width)? else {
+        return Ok(false);
+    };
+    make_folder(out)?;
     for (name, tensor) in outputs.tensors() {
-        let path = args.out.join(format!("{name}.npy"));
+        let path = out.join(format!("{name}.npy"));
         write_bytes_atomically(&path, &npy::encode(tensor))?;
+    }
+    Ok(true)
+}
+
+/// What a port does that is started once for all cases.
+fn answer_list(list: &Path, width: Width) -> Result<ExitCode> {
+    let text = std::fs::read_to_string(list).with_context(|| list.display().to_string())?;
+    for line in text.lines() {
+        let fields: Vec<&str> = line.split('\t').collect();
+        let [_, folder, out] = fields[..] else {
+            bail!("{}: {line:?} is not STAGE TAB CASE TAB OUT", list.display());
+        };
+        let out = Path::new(out);
+        let answered = Case::load(Path::new(folder))
+            .map_err(anyhow::Error::from)
+            .and_then(|case| write_answer(&case, out, width));
+        let status = match answered {
+            Ok(true) => "0\n".to_owned(),
+            Ok(false) => format!("{UNSUPPORTED}\n"),
+            Err(error) => format!("2 {error:#}\n"),
+        };
+        make_folder(out)?;
+        write_bytes_atomically(&out.join(port::STATUS), status.as_bytes())?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -231,7 +280,11 @@ fn check(args: &CheckArgs) -> Result<ExitCode> {
         } => from_folder(&cases, folder, args.allow_missing)?,
         Backend {
             exec: Some(line), ..
-        } => from_port(&cases, line, args)?,
+        } => from_port(&cases, line, false, args)?,
+        Backend {
+            exec_batch: Some(line),
+            ..
+        } => from_port(&cases, line, true, args)?,
         Backend { own, .. } => from_own(&cases, *own)?,
     };
     let passed = !verdicts.iter().any(|v| v.fails(args.allow_missing));
@@ -270,19 +323,48 @@ fn from_folder(cases: &[Case], folder: &Path, allow_missing: bool) -> Result<Vec
     Ok(verdicts)
 }
 
-fn from_port(cases: &[Case], line: &str, args: &CheckArgs) -> Result<Vec<CaseVerdict>> {
-    let words = port::split(line).map_err(|why| anyhow::anyhow!("--exec: {why}"))?;
+/// A program per case, or with `batch` one for all.
+fn from_port(
+    cases: &[Case],
+    line: &str,
+    batch: bool,
+    args: &CheckArgs,
+) -> Result<Vec<CaseVerdict>> {
+    let option = if batch { "--exec-batch" } else { "--exec" };
+    let words = port::split(line).map_err(|why| anyhow::anyhow!("{option}: {why}"))?;
     let temporary = std::env::temp_dir().join(format!("garad-golden-{}", std::process::id()));
     let root = args.keep.as_ref().unwrap_or(&temporary);
-    let verdicts = cases
-        .iter()
-        .map(|case| one_by_port(case, &words, root, args))
-        .collect();
+    let timeout = Duration::from_secs_f64(args.timeout);
+    let verdicts = if batch {
+        let all = timeout.saturating_mul(u32::try_from(cases.len()).unwrap_or(u32::MAX));
+        batch::check(cases, &words, root, all, args.allow_missing)
+    } else {
+        cases
+            .iter()
+            .map(|case| one_by_port(case, &words, root, args))
+            .collect()
+    };
     if args.keep.is_none() {
         // A folder that stays behind in the system's temporary one is no error.
         let _ = std::fs::remove_dir_all(&temporary);
     }
     verdicts
+}
+
+fn full_path(path: &Path) -> Result<PathBuf> {
+    let full = std::path::absolute(path);
+    full.with_context(|| format!("{}: no such folder", path.display()))
+}
+
+/// The folder for a port's outputs of a case. What an earlier run left behind is no answer.
+fn clean_folder(root: &Path, case: &Case) -> Result<PathBuf> {
+    let out = root.join(case.stage()).join(case.case());
+    make_folder(&out)?;
+    for name in case.outputs().keys() {
+        let _ = std::fs::remove_file(out.join(format!("{name}.npy")));
+    }
+    let _ = std::fs::remove_file(out.join(port::STATUS));
+    Ok(out)
 }
 
 fn one_by_port(
@@ -291,17 +373,8 @@ fn one_by_port(
     root: &Path,
     args: &CheckArgs,
 ) -> Result<CaseVerdict> {
-    let out = root.join(case.stage()).join(case.case());
-    make_folder(&out)?;
-    // What an earlier run left behind is no answer.
-    for name in case.outputs().keys() {
-        let _ = std::fs::remove_file(out.join(format!("{name}.npy")));
-    }
-    let absolute = |path: &Path| {
-        let full = std::path::absolute(path);
-        full.with_context(|| format!("{}: no such folder", path.display()))
-    };
-    let (folder, out) = (absolute(case.folder())?, absolute(&out)?);
+    let out = clean_folder(root, case)?;
+    let (folder, out) = (full_path(case.folder())?, full_path(&out)?);
     let job = Job {
         stage: case.stage(),
         case: &folder,

@@ -263,6 +263,114 @@ fn a_port_that_hangs_is_ended() {
     assert!(code == 1 && text.contains("TIMEOUT"), "{text}");
 }
 
+/// A small one of each kind passes in both widths; the same options write the same bytes.
+#[test]
+fn cases_are_made_and_passed() {
+    let folder = TempDir::new().expect("a folder");
+    let [one, two] = ["one", "two"].map(|name| folder.path().join(name));
+    let options = [
+        "--scene",
+        "stack",
+        "--gaussians",
+        "300",
+        "--size",
+        "70x50",
+        "--sh",
+        "2",
+    ];
+    for (root, threads) in [(&one, "1"), (&two, "2")] {
+        let (code, text) = golden(
+            &[
+                &["make", "-o", arg(root), "--threads", threads][..],
+                &options,
+            ]
+            .concat(),
+        );
+        assert!(
+            code == 0 && text.contains("raster_backward"),
+            "{code}: {text}"
+        );
+    }
+    for file in [
+        "raster/stack_300_70x50_sh2_1/color.npy",
+        "raster_backward/stack_300_70x50_sh2_1/scale_d_sh.npy",
+    ] {
+        let [a, b] = [&one, &two].map(|root| fs::read(root.join(file)).expect("written"));
+        assert!(a == b, "{file}");
+    }
+    let (code, text) = golden(&["make", "--stage", "adam", "--count", "50", "-o", arg(&one)]);
+    assert_eq!(code, 0, "{text}");
+    for width in ["--self", "--self=f32"] {
+        let (code, text) = golden(&["check", "--cases", arg(&one), width]);
+        assert!(code == 0 && text.contains("3 "), "{width}: {text}");
+    }
+    let opacities = two.join("raster_backward/stack_300_70x50_sh2_1/d_opacities.npy");
+    damage(&opacities, |i, v| if i == 7 { v + 100.0 } else { v });
+    let (code, text) = golden(&["check", "--cases", arg(&two), "--self"]);
+    assert!(code == 1 && text.contains("of 300"), "one row: {text}");
+}
+
+/// One process for all: ourselves, then scripts that leave out, fail, write nothing, and die in the middle.
+#[test]
+fn a_port_may_be_started_once_for_all() {
+    let folder = TempDir::new().expect("a folder");
+    let keep = folder.path().join("two words");
+    let port = ourselves("golden answer --list {list} --width f32");
+    let stages = ["--stage", "sh", "--stage", "se3"];
+    let check = ["check", "--exec-batch", &port, "--keep", arg(&keep)];
+    let (code, text) = golden(&[&check[..], &stages].concat());
+    assert_eq!(code, 0, "{text}");
+    let status = fs::read_to_string(keep.join("sh/degree_3/status")).expect("there");
+    assert_eq!(status, "0\n", "the protocol");
+    let list = fs::read_to_string(keep.join("cases.tsv")).expect("there");
+    assert!(
+        list.lines().count() >= 4 && list.contains("two words"),
+        "{list}"
+    );
+
+    let silent = ourselves("--version");
+    let (code, text) = golden(&["check", "--exec-batch", &silent, "--stage", "sh"]);
+    assert!(code == 1 && text.contains("missing"), "{text}");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_batch_says_how_each_case_ended() {
+    let folder = TempDir::new().expect("a folder");
+    let script = folder.path().join("port.sh");
+    let port = format!("sh '{}' {{list}}", script.display());
+    let own = env!("CARGO_BIN_EXE_garad");
+    let run = |body: &str, more: &[&str]| {
+        let text = format!("while IFS='\t' read -r stage case out; do\n{body}\ndone\n");
+        fs::write(&script, text).expect("written");
+        let check = ["check", "--exec-batch", &port, "--stage", "raster"];
+        golden(&[&check, more].concat())
+    };
+    let answer = format!("'{own}' golden answer \"$case\" \"$out\" && echo 0 >\"$out/status\"");
+    let rest = |special: &str| format!("case \"$case\" in {special};; *) {answer};; esac");
+
+    let (code, text) = run("echo 77 >\"$out/status\"", &[]);
+    assert!(
+        code == 0 && text.contains("unsupported: raster"),
+        "{code}: {text}"
+    );
+    let (code, text) = run(&rest("*needles) echo 5 no memory >\"$out/status\""), &[]);
+    assert!(code == 1 && text.contains("status 5: no memory"), "{text}");
+    assert!(text.contains("1 CRASH, 3 pass"), "the others pass: {text}");
+    // Cases are in the order cuts, needles, one, sh3_80: two are not reached.
+    let (code, text) = run(&rest("*needles) echo out of luck; kill -9 $$"), &[]);
+    assert!(code == 1 && text.contains("out of luck"), "{text}");
+    let crash = text
+        .lines()
+        .find(|l| l.contains("CRASH"))
+        .unwrap_or_default();
+    assert!(crash.contains("needles"), "names the case: {text}");
+    let two = text.matches("missing").count();
+    assert!(two >= 2, "not reached: {text}");
+    let (code, text) = run("sleep 60", &["--timeout", "0.1"]);
+    assert!(code == 1 && text.contains("TIMEOUT"), "{text}");
+}
+
 #[test]
 fn mistakes_in_the_command_are_named() {
     let mistakes: &[(&[&str], &str)] = &[
@@ -276,6 +384,14 @@ fn mistakes_in_the_command_are_named() {
         (&["check", "--self", "--cases", "/nowhere"], "/nowhere"),
         (&["check", "--actual", "/nowhere"], "/nowhere"),
         (&["check", "--exec", "a 'b"], "without its end"),
+        (&["check", "--exec-batch", "a 'b"], "--exec-batch: a 'b"),
+        (&["answer", "--list", "/nowhere"], "/nowhere"),
+        (&["answer", "/tmp"], "OUT"),
+        (&["make", "-o", "/nowhere", "--stage", "sh"], "--stage sh"),
+        (
+            &["make", "-o", "/nowhere", "--size", "9x640"],
+            "--size 9x640",
+        ),
         (
             &["check", "--exec", "/nowhere/port", "--stage", "sh"],
             "/nowhere/port",

@@ -8,7 +8,7 @@ const MIN_ALPHA: f64 = 1.0 / 255.0;
 const MAX_ALPHA: f64 = 0.99;
 const MIN_T: f64 = 1e-4;
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Images<const M: bool, const Z: bool> {
     pub(crate) color: Vec<[N<M, Z>; 3]>,
     pub(crate) depth: Vec<N<M, Z>>,
@@ -62,10 +62,10 @@ struct Touch<const M: bool, const Z: bool> {
     v: [N<M, Z>; 2],
 }
 
-struct Pixel<const M: bool, const Z: bool> {
+pub(crate) struct Pixel<const M: bool, const Z: bool> {
     touches: Vec<Touch<M, Z>>,
-    left: N<M, Z>,
-    last: i32,
+    pub(crate) left: N<M, Z>,
+    pub(crate) last: i32,
 }
 
 fn inside(footprint: &[i64; 4], x: i64, y: i64) -> bool {
@@ -73,7 +73,7 @@ fn inside(footprint: &[i64; 4], x: i64, y: i64) -> bool {
     x >= x0 && x < x1 && y >= y0 && y < y1
 }
 
-fn walk<const M: bool, const Z: bool>(
+pub(crate) fn walk<const M: bool, const Z: bool>(
     splats: &[Splat<M, Z>],
     order: &[usize],
     (x, y): (i64, i64),
@@ -158,13 +158,7 @@ pub(crate) fn blend<const M: bool, const Z: bool>(
     background: &[N<M, Z>; 3],
     how: &How,
 ) -> Images<M, Z> {
-    let mut out = Images {
-        color: vec![],
-        depth: vec![],
-        left: vec![],
-        count: vec![],
-        last: vec![],
-    };
+    let mut out = Images::default();
     for y in 0..height {
         for x in 0..width {
             let launched = x < width / CELL * CELL && y < height / CELL * CELL;
@@ -173,37 +167,48 @@ pub(crate) fn blend<const M: bool, const Z: bool>(
                 _ => order,
             };
             let pixel = walk(splats, order, (x, y), how);
-            let (mut color, mut depth) = ([N::ZERO; 3], N::ZERO);
-            for t in &pixel.touches {
-                let weight = t.alpha * t.left;
-                let s = &splats[t.splat];
-                for c in 0..3 {
-                    color[c] = weight.times_plus(s.color[c], color[c]);
-                }
-                depth = weight.times_plus(s.depth_m, depth);
-            }
-            for c in 0..3 {
-                match how.fault {
-                    Some(Fault::BackgroundInFull) => color[c] += background[c],
-                    Some(Fault::BackgroundMissing) => {}
-                    Some(Fault::PremultipliedTwice) => {
-                        color[c] = color[c] * (N::ONE - pixel.left) + pixel.left * background[c];
-                    }
-                    _ => color[c] = pixel.left.times_plus(background[c], color[c]),
-                }
-            }
-            if how.fault == Some(Fault::DepthNormalised) && pixel.left < N::ONE {
-                depth = depth / (N::ONE - pixel.left);
-            }
-            out.color.push(color);
-            out.depth.push(depth);
-            out.left.push(pixel.left);
-            out.count
-                .push(i32::try_from(pixel.touches.len()).unwrap_or(i32::MAX));
-            out.last.push(pixel.last);
+            paint(splats, &pixel, background, how, &mut out);
         }
     }
     out
+}
+
+/// Adds a pixel to the images.
+pub(crate) fn paint<const M: bool, const Z: bool>(
+    splats: &[Splat<M, Z>],
+    pixel: &Pixel<M, Z>,
+    background: &[N<M, Z>; 3],
+    how: &How,
+    out: &mut Images<M, Z>,
+) {
+    let (mut color, mut depth) = ([N::ZERO; 3], N::ZERO);
+    for t in &pixel.touches {
+        let weight = t.alpha * t.left;
+        let s = &splats[t.splat];
+        for c in 0..3 {
+            color[c] = weight.times_plus(s.color[c], color[c]);
+        }
+        depth = weight.times_plus(s.depth_m, depth);
+    }
+    for c in 0..3 {
+        match how.fault {
+            Some(Fault::BackgroundInFull) => color[c] += background[c],
+            Some(Fault::BackgroundMissing) => {}
+            Some(Fault::PremultipliedTwice) => {
+                color[c] = color[c] * (N::ONE - pixel.left) + pixel.left * background[c];
+            }
+            _ => color[c] = pixel.left.times_plus(background[c], color[c]),
+        }
+    }
+    if how.fault == Some(Fault::DepthNormalised) && pixel.left < N::ONE {
+        depth = depth / (N::ONE - pixel.left);
+    }
+    out.color.push(color);
+    out.depth.push(depth);
+    out.left.push(pixel.left);
+    out.count
+        .push(i32::try_from(pixel.touches.len()).unwrap_or(i32::MAX));
+    out.last.push(pixel.last);
 }
 
 /// The pixels in the order of `walk`, in blocks whose sums are added up at the end.
@@ -273,6 +278,16 @@ pub(crate) fn blend_backward<const M: bool, const Z: bool>(
         }
         total.iter_mut().zip(&part).for_each(|(t, p)| t.add(p));
     }
+    finish(splats, &mut total, how);
+    total
+}
+
+/// From sums over pixels to gradients.
+pub(crate) fn finish<const M: bool, const Z: bool>(
+    splats: &[Splat<M, Z>],
+    total: &mut [ByPixel<M, Z>],
+    how: &How,
+) {
     for (sum, s) in total.iter_mut().zip(splats) {
         sum.opacity = sum.opacity / s.opacity;
         if how.fault == Some(Fault::ConicFactor) {
@@ -283,10 +298,9 @@ pub(crate) fn blend_backward<const M: bool, const Z: bool>(
             sum.cov[1] = sum.cov[1] * N::new(0.9995);
         }
     }
-    total
 }
 
-fn pixel_backward<const M: bool, const Z: bool>(
+pub(crate) fn pixel_backward<const M: bool, const Z: bool>(
     splats: &[Splat<M, Z>],
     pixel: &Pixel<M, Z>,
     (color, depth, opacity): ([N<M, Z>; 3], N<M, Z>, N<M, Z>),

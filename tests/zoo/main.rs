@@ -3,6 +3,7 @@
 
 mod adjust;
 mod answers;
+mod at_size;
 mod blend;
 mod corners;
 mod faults;

@@ -5,11 +5,11 @@ use garad_conformance::Outputs;
 use garad_golden::Tensor;
 
 use super::answers::Given;
-use super::blend::{Up, blend, blend_backward, order};
+use super::blend::{Images, Up, blend, blend_backward, order};
 use super::harmonics::{basis, tangent_gradient};
 use super::number::N;
 use super::rendering::{Density, Fault, How, Walk};
-use super::splats::{Gaussians, Splat, View, project, project_backward, rotation};
+use super::splats::{ByPixel, Gaussians, Splat, View, project, project_backward, rotation};
 
 /// Which processor, and how.
 #[derive(Debug, Clone, Copy)]
@@ -52,12 +52,12 @@ fn answer<const M: bool, const Z: bool>(case: Given<'_>, how: &How) -> Outputs {
     }
 }
 
-fn column<const M: bool, const Z: bool>(case: Given<'_>, name: &str) -> Vec<N<M, Z>> {
+pub(crate) fn column<const M: bool, const Z: bool>(case: Given<'_>, name: &str) -> Vec<N<M, Z>> {
     let there = case.get(name).map(Tensor::f64);
     there.unwrap_or_default().into_iter().map(N::new).collect()
 }
 
-fn rows<const M: bool, const Z: bool, const K: usize>(
+pub(crate) fn rows<const M: bool, const Z: bool, const K: usize>(
     case: Given<'_>,
     name: &str,
 ) -> Vec<[N<M, Z>; K]> {
@@ -73,9 +73,10 @@ fn single<const M: bool, const Z: bool>(values: &[N<M, Z>]) -> Vec<f32> {
     values.iter().map(|v| v.0).collect()
 }
 
-type Scene<const M: bool, const Z: bool> = (Gaussians<M, Z>, View<M, Z>, Vec<Splat<M, Z>>);
+pub(crate) type Scene<const M: bool, const Z: bool> =
+    (Gaussians<M, Z>, View<M, Z>, Vec<Splat<M, Z>>);
 
-fn scene<const M: bool, const Z: bool>(case: Given<'_>, how: &How) -> Scene<M, Z> {
+pub(crate) fn scene<const M: bool, const Z: bool>(case: Given<'_>, how: &How) -> Scene<M, Z> {
     let means = rows::<M, Z, 3>(case, "means");
     let triples = rows::<M, Z, 3>(case, "sh");
     let per = triples.len() / means.len().max(1);
@@ -167,6 +168,15 @@ fn forward<const M: bool, const Z: bool>(case: Given<'_>, how: &How) -> Outputs 
     let order = order(&splats, how);
     let background = rows(case, "background")[0];
     let images = blend(&splats, &order, view.size, &background, how);
+    images_out(&splats, &order, images)
+}
+
+/// The outputs of the stage `raster`.
+pub(crate) fn images_out<const M: bool, const Z: bool>(
+    splats: &[Splat<M, Z>],
+    order: &[usize],
+    images: Images<M, Z>,
+) -> Outputs {
     let mut out = Outputs::default();
     out.put("color", flat(&images.color));
     out.put("depth", single(&images.depth));
@@ -206,11 +216,23 @@ fn backward<const M: bool, const Z: bool>(case: Given<'_>, how: &How) -> Outputs
         pass_through,
         how,
     );
+    gradients_out(&gaussians, &view, &splats, &by_pixel, pass_through, how)
+}
+
+/// The outputs of the stage `raster_backward`.
+pub(crate) fn gradients_out<const M: bool, const Z: bool>(
+    gaussians: &Gaussians<M, Z>,
+    view: &View<M, Z>,
+    splats: &[Splat<M, Z>],
+    by_pixel: &[ByPixel<M, Z>],
+    pass_through: bool,
+    how: &How,
+) -> Outputs {
     let found: Vec<_> = by_pixel
         .iter()
-        .zip(&splats)
+        .zip(splats)
         .enumerate()
-        .map(|(i, (d, s))| project_backward(d, s, &gaussians, i, &view, pass_through, how))
+        .map(|(i, (d, s))| project_backward(d, s, gaussians, i, view, pass_through, how))
         .collect();
     let mut pose = [N::<M, Z>::ZERO; 6];
     let mut parts: Vec<_> = found.iter().collect();

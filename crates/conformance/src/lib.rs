@@ -17,6 +17,7 @@ mod field;
 mod geometry;
 mod judging;
 mod losses;
+pub mod make;
 mod mapping;
 mod moving;
 mod outputs;

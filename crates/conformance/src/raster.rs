@@ -69,16 +69,16 @@ fn options(inputs: &Inputs) -> Result<RenderOptions, Error> {
     Ok(options)
 }
 
-struct Scene<T> {
-    map: GaussianMap<T>,
-    camera: Camera,
-    pose: Se3,
-    options: RenderOptions,
-    par: Par,
+pub(crate) struct Scene<T> {
+    pub(crate) map: GaussianMap<T>,
+    pub(crate) camera: Camera,
+    pub(crate) pose: Se3,
+    pub(crate) options: RenderOptions,
+    pub(crate) par: Par,
 }
 
 impl<T: Real> Scene<T> {
-    fn new(inputs: &Inputs, par: Par) -> Result<Self, Error> {
+    pub(crate) fn new(inputs: &Inputs, par: Par) -> Result<Self, Error> {
         Ok(Self {
             map: map(inputs)?,
             camera: camera(inputs)?,
@@ -88,7 +88,7 @@ impl<T: Real> Scene<T> {
         })
     }
 
-    fn draw(&self, engine: Engine<T>) -> Result<Rendered<T>, RasterError> {
+    pub(crate) fn draw(&self, engine: Engine<T>) -> Result<Rendered<T>, RasterError> {
         (engine.draw)(&self.map, &self.camera, &self.pose, &self.options, self.par)
     }
 }
@@ -100,7 +100,11 @@ fn put_geometry<T: Real + Element>(out: &mut Outputs, splats: &[Projected<T>]) {
 }
 
 pub(crate) fn forward<T: Real + Element>(inputs: &Inputs, par: Par, engine: Engine<T>) -> Answer {
-    let image = Scene::new(inputs, par)?.draw(engine)?;
+    Ok(images(&Scene::new(inputs, par)?.draw(engine)?))
+}
+
+/// The outputs of a rendered image.
+pub(crate) fn images<T: Real + Element>(image: &Rendered<T>) -> Outputs {
     let mut out = Outputs::default();
     out.image("color", &image.color);
     out.image("depth", &image.depth);
@@ -111,7 +115,7 @@ pub(crate) fn forward<T: Real + Element>(inputs: &Inputs, par: Par, engine: Engi
     out.put("order", image.projected.iter().map(|s| s.index));
     out.put("splat_color", image.projected.iter().map(|s| s.color));
     put_geometry(&mut out, &image.projected);
-    Ok(out)
+    out
 }
 
 /// The splats in the order of the map.
@@ -177,19 +181,32 @@ pub(crate) fn harmonics<T: Real + Element>(inputs: &Inputs) -> Answer {
 pub(crate) fn backward<T: Real + Element>(inputs: &Inputs, par: Par, engine: Engine<T>) -> Answer {
     let scene = Scene::<T>::new(inputs, par)?;
     let image = scene.draw(engine)?;
-    let upstream = Upstream {
+    gradients(&scene, &image, &upstream(inputs)?, engine)
+}
+
+pub(crate) fn upstream<T: Real>(inputs: &Inputs) -> Result<Upstream<T>, Error> {
+    Ok(Upstream {
         color: channels(inputs, "upstream_color")?,
         depth: Some(plane(inputs, "upstream_depth")?),
         opacity: Some(plane(inputs, "upstream_opacity")?),
-    };
+    })
+}
+
+/// The outputs of the backward pass of an image.
+pub(crate) fn gradients<T: Real + Element>(
+    scene: &Scene<T>,
+    image: &Rendered<T>,
+    upstream: &Upstream<T>,
+    engine: Engine<T>,
+) -> Answer {
     let Scene {
         map,
         camera,
         pose,
         options,
-        ..
-    } = &scene;
-    let found = (engine.back)(map, camera, pose, options, &image, &upstream, par)?;
+        par,
+    } = scene;
+    let found = (engine.back)(map, camera, pose, options, image, upstream, *par)?;
     let mut out = Outputs::default();
     put_gradients(&mut out, &found, map.coefficients(), "")?;
     out.one("d_pose", found.pose);

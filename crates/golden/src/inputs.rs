@@ -46,6 +46,25 @@ pub struct Inputs {
 }
 
 impl Inputs {
+    /// Of a case that lies in no folder.
+    #[must_use]
+    pub fn new(
+        [stage, case]: [&str; 2],
+        flags: &[&str],
+        params: BTreeMap<String, Value>,
+        tensors: BTreeMap<String, Tensor>,
+    ) -> Self {
+        Self {
+            stage: stage.to_owned(),
+            case: case.to_owned(),
+            flags: flags.iter().map(|&flag| flag.to_owned()).collect(),
+            params,
+            tensors,
+            units: BTreeMap::new(),
+            folder: PathBuf::new(),
+        }
+    }
+
     /// Stage.
     #[must_use]
     pub fn stage(&self) -> &str {

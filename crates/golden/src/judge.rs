@@ -2,7 +2,8 @@
 //!
 //! An answer in f32 where f64 is expected is held to the tolerance of f32 ([`tol::for_f32`]). If
 //! the case has an input `robust`, it says which pixels are away from every cut; there an answer in f32 is
-//! held to its tolerance, and all pixels together to the budget `STAGE.f32.flips`.
+//! held to its tolerance, and all pixels together to the budget `STAGE.f32.flips_FLAG` or `STAGE.f32.flips`. An input
+//! `robust_OUTPUT` takes its place for one output, without a budget: elsewhere nothing is said.
 
 use crate::alternatives::nearest;
 use crate::answers::Answers;
@@ -80,7 +81,11 @@ fn judge_output(case: &Case, name: &str, answer: &Tensor, in_f32: bool) -> Outpu
         Err(error) => return problem(name, Verdict::Unreadable, dtype, &error.to_string()),
     };
     let values = expected.f64();
-    let robust = if in_f32 { robust(case, expected) } else { None };
+    let robust = if in_f32 {
+        robust(case, name, expected)
+    } else {
+        None
+    };
     // Elements near a cut count as right here; the budget for flips judges them.
     let away = |numbers: &[f64]| -> Vec<f64> {
         let Some((mask, per)) = &robust else {
@@ -98,7 +103,8 @@ fn judge_output(case: &Case, name: &str, answer: &Tensor, in_f32: bool) -> Outpu
     let flips = robust
         .as_ref()
         .filter(|_| tolerance.class != Class::Exact)
-        .and_then(|_| tol::find(&format!("{}.f32.flips", case.stage())));
+        .filter(|_| case.inputs().get(&format!("robust_{name}")).is_none())
+        .and_then(|_| tol::flips(case.stage(), case.inputs().flags()));
     let scales = case.inputs().get(&format!("scale_{name}")).map(Tensor::f64);
     let verdict_on = |numbers: &[f64]| -> Option<Comparison> {
         let tight = compare_scaled(expected, &away(numbers), &tolerance, scales.as_deref()).ok()?;
@@ -150,8 +156,9 @@ fn judge_output(case: &Case, name: &str, answer: &Tensor, in_f32: bool) -> Outpu
 }
 
 /// The mask of a case over the first axes of an output, with the elements per entry of the mask.
-pub(crate) fn robust(case: &Case, expected: &Tensor) -> Option<(Vec<i64>, usize)> {
-    let mask = case.inputs().get("robust")?;
+pub(crate) fn robust(case: &Case, name: &str, expected: &Tensor) -> Option<(Vec<i64>, usize)> {
+    let own = case.inputs().get(&format!("robust_{name}"));
+    let mask = own.or_else(|| case.inputs().get("robust"))?;
     let fits = expected.shape().starts_with(mask.shape()) && !mask.is_empty();
     fits.then(|| (mask.i64(), expected.len() / mask.len()))
 }

@@ -38,13 +38,14 @@ const CLASSES: &[(&str, &str)] = &[
     ),
 ];
 
-const F32_RULE: &str = "for an answer of dtype f32 where f64 is expected: the first of `names` that is in `tolerances` \
-     (one for each flag of the case; WIDE is the name of the tolerance of the output, with f32 after its first point); \
-     else, for abs_rel and vector with max(abs, rel) <= at_most, abs and rel times factor; else unchanged";
+const F32_RULE: &str = "for an answer of dtype f32 where f64 is expected: for the class rows WIDE, the name of the tolerance of \
+     the output with f32 after its first point, if that is in `tolerances`; else the first of `names` that is there (the first for each \
+     flag of the case); else, for abs_rel and vector with max(abs, rel) <= at_most, abs and rel times factor; else unchanged";
 
 const ROBUST_RULE: &str = "if any answer of a case is of dtype f32 where f64 is expected, and the case has an input \
-     `robust` whose shape is that of the first axes of an output: elements where it is 0 count as right, and unless the class \
-     is exact all elements are held to the tolerance STAGE.f32.flips as well, if there is one";
+     `robust_OUTPUT`, or else `robust`, whose shape is that of the first axes of an output: elements where it is 0 count as right; with \
+     `robust`, unless the class is exact, all elements are held to the tolerance STAGE.f32.flips_FLAG for the first flag of the case \
+     that has one, else STAGE.f32.flips, as well, if there is one";
 
 const SEVERAL_RULE: &str = "an answer to a case of this stage with this flag may have one more axis after the first, of at \
      most `most` solutions, NaN in the places left over, the same number in all outputs that have it; in each row the solution \
@@ -113,8 +114,11 @@ fn units(cases: &[Case]) -> BTreeMap<&'static str, BTreeSet<&str>> {
                 case.tolerance_f32(name).ok(),
             ];
             let judged = both.iter().flatten().any(|t| t.class != Class::Exact);
-            let flips = tol::find(&format!("{}.f32.flips", case.stage()))
-                .filter(|_| judged && robust(case, case.output(name)).is_some());
+            let inputs = case.inputs();
+            let budget = judged
+                && robust(case, name, case.output(name)).is_some()
+                && inputs.get(&format!("robust_{name}")).is_none();
+            let flips = tol::flips(case.stage(), inputs.flags()).filter(|_| budget);
             for tolerance in both.iter().flatten().chain(flips) {
                 let entry = units.entry(tolerance.name).or_default();
                 entry.extend(case.unit(name));

@@ -45,18 +45,18 @@ impl<T: Real> Pixel<T> {
 }
 
 /// A splat at one pixel.
-struct Sample<T> {
+pub(crate) struct Sample<T> {
     /// Pixel minus centre, pixels.
-    dx: T,
-    dy: T,
+    pub(crate) dx: T,
+    pub(crate) dy: T,
     /// opacity e^power: alpha before it is clamped.
-    density: T,
-    alpha: T,
+    pub(crate) density: T,
+    pub(crate) alpha: T,
 }
 
 /// alpha = min(0.99, opacity e^power); `None` outside the footprint and for alpha < 1/255 (R10).
 #[inline]
-fn sample<T: Real>(splat: &Projected<T>, [x, y]: [usize; 2]) -> Option<Sample<T>> {
+pub(crate) fn sample<T: Real>(splat: &Projected<T>, [x, y]: [usize; 2]) -> Option<Sample<T>> {
     if !splat.footprint.contains(x, y) {
         return None;
     }

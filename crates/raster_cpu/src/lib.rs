@@ -35,6 +35,7 @@ mod project;
 mod render;
 mod rendered;
 mod scalar;
+mod scales;
 mod splat;
 mod splat_gradient;
 mod validate;
@@ -49,7 +50,8 @@ pub use knn_scale::{
 };
 pub use options::{ClampGradient, Include, MAX_SIDE_PX, RenderOptions};
 pub use project::{FOOTPRINT_CELL_PX, NEAR_M};
-pub use render::render;
+pub use render::{render, splats};
 pub use rendered::{Rendered, Upstream};
+pub use scales::{GradientScales, gradient_scales};
 pub use splat::{PixelRect, Projected};
 pub use view::JACOBIAN_CLAMP;

@@ -196,7 +196,7 @@ pub(crate) fn project_one_backward<T: Real>(
 
 /// R mean + t, metres.
 #[inline]
-fn camera_point<T: Real>(view: &View<T>, mean: [T; 3]) -> [T; 3] {
+pub(crate) fn camera_point<T: Real>(view: &View<T>, mean: [T; 3]) -> [T; 3] {
     let (r, t) = (&view.rotation, &view.translation);
     three(|i| dot(r[i], mean) + t[i])
 }

@@ -8,8 +8,30 @@ use crate::error::RasterError;
 use crate::options::RenderOptions;
 use crate::project::project;
 use crate::rendered::Rendered;
+use crate::splat::Projected;
 use crate::validate::check_scene;
 use crate::view::View;
+
+/// The visible splats of a map, front to back: [`render`] without its pixels.
+///
+/// # Errors
+/// As [`render`].
+pub fn splats<T: Real>(
+    map: &GaussianMap<T>,
+    camera: &Camera,
+    camera_from_world: &Se3,
+    options: &RenderOptions,
+    par: Par,
+) -> Result<Vec<Projected<T>>, RasterError> {
+    check_scene(map, camera, camera_from_world, options)?;
+    let view = View::new(camera, camera_from_world);
+    Ok(sort_front_to_back(project(
+        map,
+        &view,
+        options.include,
+        par,
+    )))
+}
 
 /// Draws a map as the camera at `camera_from_world` sees it.
 ///
@@ -64,11 +86,9 @@ pub fn render<T: Real>(
     options: &RenderOptions,
     par: Par,
 ) -> Result<Rendered<T>, RasterError> {
-    check_scene(map, camera, camera_from_world, options)?;
-    let view = View::new(camera, camera_from_world);
-    let splats = sort_front_to_back(project(map, &view, options.include, par));
-    let [width, height] = view.size;
-    let tiles = Tiles::new(&splats, view.size, options.tile_px);
+    let splats = splats(map, camera, camera_from_world, options, par)?;
+    let [width, height] = [camera.width, camera.height];
+    let tiles = Tiles::new(&splats, [width, height], options.tile_px);
     let mut pixels = Image::new(width, height, Pixel::EMPTY);
     par.for_each_chunk_mut(pixels.data_mut(), width, |y, row| {
         for (x, pixel) in row.iter_mut().enumerate() {

@@ -83,7 +83,8 @@ def judge(case: Case, answers: Mapping[str, Any], allow_missing: bool = False) -
     `answers` has an array by the name of each output (anything numpy makes an array of), or an NpyError for a file that
     cannot be used. Axes of size 1 may be left out or added. The tolerance follows from the type of the answer:
     `Case.tolerance`. Where the case has an input `robust` and an answer is in float32, elements away from every cut are held
-    to the tolerance, and all together to the budget STAGE.f32.flips.
+    to the tolerance, and all together to the budget `Table.flips`. An input `robust_OUTPUT` takes its place for one output,
+    without a budget.
     """
     known = {name: _checked(case, answers[name]) for name in case.outputs if name in answers}
     known = _nearest(case, known)
@@ -185,11 +186,12 @@ def _judge_output(case: Case, name: str, answer: Array, in_f32: bool) -> OutputV
     except ValueError:
         # Not one scale for each row: a mistake of the case.
         return OutputVerdict(name, SHAPE, dtype, note=_other_shape(expected, answer, False))
-    robust = case.inputs.get("robust") if in_f32 else None
+    own = case.inputs.get(f"robust_{name}")
+    robust = (case.inputs.get("robust") if own is None else own) if in_f32 else None
     if robust is not None and robust.size and expected.shape[:robust.ndim] == robust.shape:
         away = np.repeat(robust.reshape(-1) != 0, e.size // robust.size)
         comparison = compare(expected, np.where(away, g, e), tolerance, scales)
-        flips = case.table.tolerances.get(f"{case.stage}.f32.flips")
+        flips = case.table.flips(case.stage, case.flags) if own is None else None
         if flips is not None and tolerance.rule != "exact" and comparison.passed:
             everywhere = compare(expected, g, flips)
             comparison = comparison if everywhere.passed else everywhere

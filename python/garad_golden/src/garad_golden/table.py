@@ -79,12 +79,14 @@ class Table:
     def for_f32(self, stage: str, output: str, flags: Iterable[str], wide: Tolerance) -> Tolerance:
         """What an answer in float32 is held to where float64 is expected.
 
-        The first that there is of STAGE.f32.OUTPUT_FLAG for a flag of the case, STAGE.f32.OUTPUT, and the name of `wide`
+        By rows, the name of `wide` with f32 after its first point, if there is one. Else the first that there is of STAGE.f32.OUTPUT_FLAG for a flag of the case, STAGE.f32.OUTPUT, and the name of `wide`
         with f32 after its first point. Else, if `wide` counts roundings, that is max(abs, rel) <= at_most, abs and rel
         times factor = 2^29, the ratio of the unit roundoffs. Else `wide`.
         """
-        names = [f"{stage}.f32.{output}_{flag}" for flag in flags]
-        names += [f"{stage}.f32.{output}", wide.name.replace(".", ".f32.", 1)]
+        renamed = wide.name.replace(".", ".f32.", 1)
+        names = [renamed] if wide.rule == "rows" else []
+        names += [f"{stage}.f32.{output}_{flag}" for flag in flags]
+        names += [f"{stage}.f32.{output}", renamed]
         for name in names:
             if name in self.tolerances:
                 return self.tolerances[name]
@@ -93,6 +95,11 @@ class Table:
             scaled = {key: value * rule["factor"] for key, value in wide.numbers.items()}
             return replace(wide, numbers=MappingProxyType(scaled))
         return wide
+
+    def flips(self, stage: str, flags: Iterable[str]) -> Tolerance | None:
+        """The budget for elements near a cut of answers in float32: STAGE.f32.flips_FLAG for a flag of the case, or without."""
+        names = [f"{stage}.f32.flips_{flag}" for flag in flags]
+        return next((self.tolerances[n] for n in [*names, f"{stage}.f32.flips"] if n in self.tolerances), None)
 
     def most_solutions(self, stage: str, flags: Iterable[str]) -> int:
         """How many solutions a row of an answer may hold: 1, or more where a problem has several."""
