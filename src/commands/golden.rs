@@ -3,6 +3,7 @@
 mod batch;
 mod list;
 mod make;
+mod root;
 mod tolerances;
 
 use std::path::{Path, PathBuf};
@@ -18,7 +19,7 @@ use garad_dataset::write_bytes_atomically;
 use garad_golden::answers::read_answers;
 use garad_golden::judge::judge;
 use garad_golden::verdict::{CaseVerdict, Outcome};
-use garad_golden::{Case, npy, report, stages};
+use garad_golden::{Case, npy, report, stages, table};
 
 use super::{make_folder, say};
 
@@ -39,14 +40,21 @@ pub(crate) enum Command {
     /// Make cases of any size, with the values of this project's f64 reference.
     Make(make::MakeArgs),
     /// The tolerances and the reasons for them.
-    Tolerances,
+    Tolerances(TolerancesArgs),
+}
+
+#[derive(Debug, Args)]
+struct At {
+    /// Folder that holds STAGE/CASE/case.json [default: GARAD_GOLDEN of the environment, else tests/golden here or in a
+    /// folder above].
+    #[arg(long, value_name = "DIR")]
+    cases: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]
 struct Filter {
-    /// Folder that holds STAGE/CASE/case.json [default: tests/golden of the checkout].
-    #[arg(long, value_name = "DIR")]
-    cases: Option<PathBuf>,
+    #[command(flatten)]
+    at: At,
     /// Only this stage; may be given several times.
     #[arg(long, value_name = "S")]
     stage: Vec<String>,
@@ -63,6 +71,15 @@ pub(crate) struct ListArgs {
     #[command(flatten)]
     filter: Filter,
     /// As JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct TolerancesArgs {
+    #[command(flatten)]
+    at: At,
+    /// As JSON, with classes, units and the rule for float32: tests/golden/tolerances.json.
     #[arg(long)]
     json: bool,
 }
@@ -144,18 +161,27 @@ pub(crate) fn run(command: &Command) -> Result<ExitCode> {
         Command::Check(args) => return check(args),
         Command::Answer(args) => return answer(args),
         Command::Make(args) => make::make(args)?,
-        Command::Tolerances => tolerances::tolerances(&Case::load_root(&default_root()?)?)?,
+        Command::Tolerances(args) => {
+            let cases = Case::load_root(&args.at.root()?)?;
+            match args.json {
+                true => say(table::text(&cases)?.trim_end())?,
+                false => tolerances::tolerances(&cases)?,
+            }
+        }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+impl At {
+    fn root(&self) -> Result<PathBuf> {
+        root::root(self.cases.as_deref())
+    }
 }
 
 impl Filter {
     /// The cases asked for, in the order of the data.
     fn load(&self) -> Result<Vec<Case>> {
-        let root = match &self.cases {
-            Some(root) => root.clone(),
-            None => default_root()?,
-        };
+        let root = self.at.root()?;
         let all = Case::load_root(&root)?;
         let known: Vec<&str> = all.iter().map(Case::stage).collect();
         for stage in &self.stage {
@@ -181,14 +207,6 @@ impl Filter {
         cases.sort_by_key(|c| (stages::rank(c.stage()), c.name()));
         Ok(cases)
     }
-}
-
-/// `tests/golden` here, or in the checkout this program was built from.
-fn default_root() -> Result<PathBuf> {
-    let here = PathBuf::from("tests/golden");
-    let roots = [here, Case::root()];
-    let found = roots.into_iter().find(|root| root.is_dir());
-    found.context("tests/golden: no such folder; start in a checkout, or name it with --cases")
 }
 
 /// The outputs of this project's own stage, which sees the inputs alone.

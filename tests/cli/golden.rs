@@ -69,7 +69,63 @@ fn every_case_is_listed_with_its_basis() {
     let list: Value = serde_json::from_str(&text).expect("JSON");
     let list = list.as_array().expect("a list");
     assert_eq!(list.len(), 5, "{text}");
-    assert_eq!(list[0]["outputs"][0]["tolerance"], "lk.residual", "{text}");
+    let residual = &list[0]["outputs"][0];
+    assert_eq!(residual["tolerance"], "lk.residual", "{text}");
+    assert_eq!(residual["unit"], "1", "{text}");
+    assert_eq!(residual["allowed"]["class"], "abs_rel", "{text}");
+    assert_eq!(residual["allowed"]["abs"], 1e-4, "{text}");
+    assert_eq!(list[0]["inputs"][1]["unit"], "px", "{text}");
+    assert!(list[0]["params"]["levels"].is_number(), "{text}");
+    let text = golden(&["list", "--json", "--stage", "sh"]).1;
+    let list: Value = serde_json::from_str(&text).expect("JSON");
+    let basis = &list[0]["outputs"][0];
+    assert_eq!(basis["allowed"]["abs"], 1e-15, "{text}");
+    assert_eq!(basis["allowed_f32"]["abs"], 1e-15 * 536_870_912.0, "{text}");
+    assert_eq!(basis["allowed_f32"]["name"], "sh.basis", "{text}");
+}
+
+/// Neither the folder of the build nor the current one need have the cases.
+#[test]
+fn cases_are_found_where_the_program_is_told() {
+    let elsewhere = TempDir::new().expect("a folder");
+    let run = |folder: &str, variable: Option<&str>, args: &[&str]| {
+        let mut command = program();
+        command
+            .env_remove("GARAD_GOLDEN")
+            .current_dir(folder)
+            .args(["golden", "list", "--stage", "sh"]);
+        command
+            .envs(variable.map(|v| ("GARAD_GOLDEN", v)))
+            .args(args);
+        let output = command.output().expect("the program starts");
+        let said = [output.stdout, output.stderr].concat();
+        (
+            output.status.code(),
+            String::from_utf8_lossy(&said).into_owned(),
+        )
+    };
+    let (cases, away) = (cases(), arg(elsewhere.path()));
+    let below = format!("{cases}/gen");
+    for (folder, variable, args) in [
+        (below.as_str(), None, &[][..]),
+        (away, Some(cases.as_str()), &[]),
+        (away, Some("/nowhere"), &["--cases", &cases]),
+    ] {
+        let (code, said) = run(folder, variable, args);
+        assert!(
+            code == Some(0) && said.contains("sh: basis functions"),
+            "{folder} {variable:?}: {said}"
+        );
+    }
+    for (folder, variable, words) in [
+        (away, None, &["--cases", "GARAD_GOLDEN", "tests/golden"][..]),
+        (below.as_str(), Some("/nowhere"), &["GARAD_GOLDEN=/nowhere"]),
+        (below.as_str(), Some(away), &["no stage 'sh'"]),
+    ] {
+        let (code, said) = run(folder, variable, &[]);
+        let named = words.iter().all(|word| said.contains(word));
+        assert!(code == Some(2) && named, "{folder} {variable:?}: {said}");
+    }
 }
 
 #[test]

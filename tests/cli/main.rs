@@ -14,6 +14,7 @@ mod labelling;
 mod layouts;
 mod outputs;
 mod plausibility;
+mod ports;
 mod rendering;
 mod results;
 mod session;

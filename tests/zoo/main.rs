@@ -12,6 +12,8 @@ mod geometry;
 mod harmonics;
 mod number;
 mod paths;
+mod perturbed;
+mod python;
 mod raster;
 mod rendering;
 mod reprojection;

@@ -11,7 +11,7 @@ use crate::case::Case;
 use crate::tensor::Tensor;
 
 /// Stage and flag of the cases that may be answered so, and the largest number of solutions.
-const SEVERAL: &[(&str, &str, usize)] = &[("pnp", "exact", 4)];
+pub(crate) const SEVERAL: &[(&str, &str, usize)] = &[("pnp", "exact", 4)];
 
 /// An output with `solutions` in each row.
 struct Several<'a> {

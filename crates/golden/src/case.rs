@@ -7,7 +7,7 @@ use crate::compare::{Comparison, compare};
 use crate::error::GoldenError;
 use crate::inputs::Inputs;
 use crate::manifest::{Entry, Manifest, load_tensor, read};
-use crate::tensor::Tensor;
+use crate::tensor::{Dtype, Tensor};
 use crate::tol::{self, Tolerance};
 
 /// A golden case, read whole: the [`Inputs`] a stage is given, and what must come out.
@@ -18,7 +18,13 @@ pub struct Case {
     basis: String,
     equations: Vec<String>,
     outputs: BTreeMap<String, Tensor>,
+    units: BTreeMap<String, String>,
     tolerances: BTreeMap<String, String>,
+}
+
+fn units(entries: &BTreeMap<String, Entry>) -> BTreeMap<String, String> {
+    let unit = |(name, entry): (&String, &Entry)| (name.clone(), entry.unit.clone());
+    entries.iter().map(unit).collect()
 }
 
 impl Case {
@@ -46,6 +52,8 @@ impl Case {
         };
         let tensors = load(&manifest.inputs)?;
         let outputs = load(&manifest.outputs)?;
+        let input_units = units(&manifest.inputs);
+        let output_units = units(&manifest.outputs);
         let tolerances = manifest.outputs.into_iter();
         Ok(Self {
             inputs: Inputs {
@@ -54,12 +62,14 @@ impl Case {
                 flags: manifest.flags,
                 params: manifest.params,
                 tensors,
+                units: input_units,
                 folder: folder.to_owned(),
             },
             why: manifest.why,
             basis: manifest.basis,
             equations: manifest.equations,
             outputs,
+            units: output_units,
             tolerances: tolerances
                 .map(|(name, entry)| (name, entry.tol.unwrap_or_default()))
                 .collect(),
@@ -134,10 +144,24 @@ impl Case {
             .collect()
     }
 
-    /// The workspace's `tests/golden`.
+    /// `tests/golden` of a folder, or of the nearest one above it; it is known by its `tolerances.json`.
+    #[must_use]
+    pub fn root_above(folder: &Path) -> Option<PathBuf> {
+        let roots = folder.ancestors().map(|f| f.join("tests/golden"));
+        roots
+            .into_iter()
+            .find(|root| root.join("tolerances.json").is_file())
+    }
+
+    /// The workspace's `tests/golden`, for tests: cargo starts them below it.
+    ///
+    /// # Panics
+    /// If there is none above the current folder.
     #[must_use]
     pub fn root() -> PathBuf {
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden")
+        let here = std::env::current_dir().expect("a current folder");
+        Self::root_above(&here)
+            .unwrap_or_else(|| panic!("no tests/golden in or above {}", here.display()))
     }
 
     /// What a stage is given.
@@ -192,6 +216,24 @@ impl Case {
     #[must_use]
     pub fn outputs(&self) -> &BTreeMap<String, Tensor> {
         &self.outputs
+    }
+
+    /// The unit of an expected output, in words.
+    #[must_use]
+    pub fn unit(&self, name: &str) -> Option<&str> {
+        self.units.get(name).map(String::as_str)
+    }
+
+    /// The tolerance of an output for answers in f32, see [`tol::for_f32`].
+    ///
+    /// # Errors
+    /// As [`Case::tolerance`].
+    pub fn tolerance_f32(&self, name: &str) -> Result<Tolerance, GoldenError> {
+        let wide = self.tolerance(name)?;
+        Ok(match self.output(name).dtype() {
+            Dtype::F64 => tol::for_f32(self.stage(), name, self.inputs.flags(), wide),
+            _ => *wide,
+        })
     }
 
     /// An expected output.

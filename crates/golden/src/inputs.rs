@@ -41,6 +41,7 @@ pub struct Inputs {
     pub(crate) flags: Vec<String>,
     pub(crate) params: BTreeMap<String, Value>,
     pub(crate) tensors: BTreeMap<String, Tensor>,
+    pub(crate) units: BTreeMap<String, String>,
     pub(crate) folder: PathBuf,
 }
 
@@ -59,6 +60,7 @@ impl Inputs {
             flags: flags.iter().map(|&flag| flag.to_owned()).collect(),
             params,
             tensors,
+            units: BTreeMap::new(),
             folder: PathBuf::new(),
         }
     }
@@ -109,6 +111,12 @@ impl Inputs {
     #[must_use]
     pub fn get(&self, name: &str) -> Option<&Tensor> {
         self.tensors.get(name)
+    }
+
+    /// The unit of an input, in words.
+    #[must_use]
+    pub fn unit(&self, name: &str) -> Option<&str> {
+        self.units.get(name).map(String::as_str)
     }
 
     /// The folder `data` beside the root of the cases: recordings that cases refer to.

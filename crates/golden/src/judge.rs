@@ -72,11 +72,12 @@ fn judge_output(case: &Case, name: &str, answer: &Tensor, in_f32: bool) -> Outpu
         let note = other_shape(expected, answer, exact);
         return problem(name, Verdict::Shape, dtype, &note);
     }
-    let tolerance = match case.tolerance(name) {
-        Ok(wide) if answer.dtype() == Dtype::F32 && expected.dtype() == Dtype::F64 => {
-            tol::for_f32(case.stage(), name, case.inputs().flags(), wide)
-        }
-        Ok(tolerance) => *tolerance,
+    let tolerance = match answer.dtype() {
+        Dtype::F32 => case.tolerance_f32(name),
+        _ => case.tolerance(name).copied(),
+    };
+    let tolerance = match tolerance {
+        Ok(tolerance) => tolerance,
         Err(error) => return problem(name, Verdict::Unreadable, dtype, &error.to_string()),
     };
     let values = expected.f64();
@@ -155,7 +156,7 @@ fn judge_output(case: &Case, name: &str, answer: &Tensor, in_f32: bool) -> Outpu
 }
 
 /// The mask of a case over the first axes of an output, with the elements per entry of the mask.
-fn robust(case: &Case, name: &str, expected: &Tensor) -> Option<(Vec<i64>, usize)> {
+pub(crate) fn robust(case: &Case, name: &str, expected: &Tensor) -> Option<(Vec<i64>, usize)> {
     let own = case.inputs().get(&format!("robust_{name}"));
     let mask = own.or_else(|| case.inputs().get("robust"))?;
     let fits = expected.shape().starts_with(mask.shape()) && !mask.is_empty();

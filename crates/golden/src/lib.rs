@@ -5,7 +5,7 @@
 //! (OpenCV, mpmath, scipy, ...) through the scripts in `tests/golden/gen/`.
 //!
 //! Reading order: [`tensor`] (typed arrays) → [`npy`] (their files) → [`inputs`] (what a stage is given) →
-//! [`case`] (the folder) → [`tol`] (the one table of tolerances) → [`compare`](mod@compare) (one tensor) →
+//! [`case`] (the folder) → [`tol`] (the one table of tolerances; [`table`] is its JSON) → [`compare`](mod@compare) (one tensor) →
 //! [`answers`], [`judge`](mod@judge) and [`verdict`] (one case) → [`explain`](mod@explain) (which mistake it is) → [`stages`]
 //! (which stage needs which) → [`report`]; [`trace`] (whole frames, stage by stage).
 //!
@@ -30,6 +30,7 @@ pub mod metrics;
 pub mod npy;
 pub mod report;
 pub mod stages;
+pub mod table;
 pub mod tensor;
 pub mod tol;
 pub mod trace;

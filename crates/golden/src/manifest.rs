@@ -11,7 +11,7 @@ use crate::npy;
 use crate::tensor::{Dtype, Tensor};
 
 /// No file of a case is larger; what claims to be is refused unread.
-const MAX_FILE_BYTES: u64 = 64 << 20;
+pub(crate) const MAX_FILE_BYTES: u64 = 64 << 20;
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -39,8 +39,7 @@ pub(crate) struct Manifest {
 pub(crate) struct Entry {
     pub(crate) dtype: String,
     pub(crate) shape: Vec<usize>,
-    #[serde(rename = "unit")]
-    pub(crate) _unit: String,
+    pub(crate) unit: String,
     pub(crate) file: Option<String>,
     pub(crate) data: Option<Value>,
     pub(crate) tol: Option<String>,

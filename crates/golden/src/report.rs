@@ -6,6 +6,7 @@ use std::fmt::Write as _;
 use serde_json::{Value, json};
 
 use crate::stages;
+use crate::table;
 use crate::tol::Class;
 use crate::verdict::{CaseVerdict, Outcome, OutputVerdict, Verdict};
 
@@ -221,7 +222,9 @@ pub fn to_json(verdicts: &[CaseVerdict], passed: bool) -> Value {
         });
         if let Some(c) = &output.comparison {
             entry["tolerance"] = json!(c.tolerance.name);
-            entry["class"] = json!(format!("{:?}", c.tolerance.class));
+            let (class, numbers) = table::class(c.tolerance.class);
+            entry["class"] = json!(class);
+            entry["numbers"] = json!(numbers);
             entry["allowed"] = number(c.bound);
             entry["worst"] = number(c.worst);
             entry["at"] = json!(c.worst_index);

@@ -104,7 +104,7 @@ pub struct Tensor {
 }
 
 /// Integers of f64 are exact up to here.
-const EXACT_F64: u64 = 1 << 53;
+pub(crate) const EXACT_F64: u64 = 1 << 53;
 
 impl Tensor {
     /// From its bytes; `None` unless their number is that of the shape.

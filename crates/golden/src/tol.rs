@@ -284,7 +284,7 @@ pub const TABLE: &[Tolerance] = &[
 pub const F32_OVER_F64: f64 = 536_870_912.0;
 
 /// Up to here a tolerance is rounding and grows with the unit roundoff.
-const LARGEST_ROUNDING: f64 = 1e-12;
+pub(crate) const LARGEST_ROUNDING: f64 = 1e-12;
 
 /// What an answer in f32 is held to where the expected value is one of f64.
 ///

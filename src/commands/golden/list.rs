@@ -1,31 +1,53 @@
 //! `garad golden list`.
 
-use std::collections::BTreeMap;
-
 use anyhow::Result;
-use garad_golden::{Case, Tensor, stages};
+use garad_golden::{Case, Tensor, Tolerance, stages, table};
 use serde_json::{Value, json};
 
 use crate::commands::say;
 
-fn tensors(case: &Case, tensors: &BTreeMap<String, Tensor>, inputs: bool) -> Vec<Value> {
-    let entry = |(name, tensor): (&String, &Tensor)| {
-        let tolerance = case.tolerance(name).ok().filter(|_| !inputs);
-        json!({
-            "name": name,
-            "dtype": tensor.dtype().name(),
-            "shape": tensor.shape(),
-            "tolerance": tolerance.map(|t| t.name),
-        })
+fn tensor(name: &str, tensor: &Tensor, unit: Option<&str>) -> Value {
+    json!({
+        "name": name,
+        "dtype": tensor.dtype().name(),
+        "shape": tensor.shape(),
+        "unit": unit,
+    })
+}
+
+/// Name, class and numbers.
+fn tolerance(of: &Tolerance) -> Value {
+    let (class, mut entry) = table::class(of.class);
+    entry.insert("class".to_owned(), json!(class));
+    entry.insert("name".to_owned(), json!(of.name));
+    Value::Object(entry)
+}
+
+fn inputs(case: &Case) -> Vec<Value> {
+    let inputs = case.inputs();
+    let all = inputs.tensors().iter();
+    all.map(|(name, t)| tensor(name, t, inputs.unit(name)))
+        .collect()
+}
+
+/// Each with what it is held to, in f64 and in f32.
+fn outputs(case: &Case) -> Result<Vec<Value>> {
+    let entry = |(name, t): (&String, &Tensor)| {
+        let wide = case.tolerance(name)?;
+        let mut entry = tensor(name, t, case.unit(name));
+        entry["tolerance"] = json!(wide.name);
+        entry["allowed"] = tolerance(wide);
+        entry["allowed_f32"] = tolerance(&case.tolerance_f32(name)?);
+        Ok(entry)
     };
-    tensors.iter().map(entry).collect()
+    case.outputs().iter().map(entry).collect()
 }
 
 /// Prints them, `as_json` or to read.
 pub(super) fn list(cases: &[Case], as_json: bool) -> Result<()> {
     if as_json {
         let entry = |case: &Case| {
-            json!({
+            Ok(json!({
                 "stage": case.stage(),
                 "case": case.case(),
                 "folder": case.folder(),
@@ -34,11 +56,11 @@ pub(super) fn list(cases: &[Case], as_json: bool) -> Result<()> {
                 "equations": case.equations(),
                 "flags": case.inputs().flags(),
                 "params": case.inputs().params(),
-                "inputs": tensors(case, case.inputs().tensors(), true),
-                "outputs": tensors(case, case.outputs(), false),
-            })
+                "inputs": inputs(case),
+                "outputs": outputs(case)?,
+            }))
         };
-        let list: Vec<Value> = cases.iter().map(entry).collect();
+        let list: Vec<Value> = cases.iter().map(entry).collect::<Result<_>>()?;
         return say(&serde_json::to_string_pretty(&list)?);
     }
     let mut stage = "";
