@@ -10,6 +10,7 @@
 
 pub mod diff;
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::path::Path;
 
@@ -98,8 +99,8 @@ impl Index {
     /// Reads a folder's index.
     ///
     /// # Errors
-    /// [`GoldenError`] naming the file and what is wrong with it: the text, the schema, or a file
-    /// that lies outside of the folder.
+    /// [`GoldenError`] naming the file and what is wrong with it: the text, the schema, a file
+    /// that lies outside of the folder, or one that two tensors have.
     pub fn load(folder: &Path) -> Result<Self, GoldenError> {
         let path = folder.join(INDEX);
         let index: Self =
@@ -111,6 +112,7 @@ impl Index {
             let found = index.schema;
             return Err(GoldenError::Schema { path, found });
         }
+        let mut files = BTreeSet::new();
         for entry in &index.tensors {
             let inside = |part: &str| !(part.is_empty() || part.starts_with('.'));
             if entry.file.contains('\\') || !entry.file.split('/').all(inside) {
@@ -118,6 +120,13 @@ impl Index {
                     path,
                     tensor: entry.to_string(),
                     problem: format!("file '{}' is not a plain path", entry.file),
+                });
+            }
+            if !files.insert(entry.file.as_str()) {
+                return Err(GoldenError::Tensor {
+                    path,
+                    tensor: entry.to_string(),
+                    problem: format!("file '{}' is that of an earlier tensor", entry.file),
                 });
             }
         }

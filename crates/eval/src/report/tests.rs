@@ -49,6 +49,7 @@ fn sample() -> Sample {
     let ate = ate(&truth, &found, &AteOptions::default()).expect("220 pairs");
     let mut metrics = Metrics::new("0.1.0", "rgbd_bonn_<crowd> & more");
     (metrics.frames, metrics.tracked, metrics.threads) = (240, 220, 2);
+    metrics.listed = 243;
     metrics.ate = (&ate).into();
     metrics.rpe = RpeMetrics {
         trans_rmse_m_per_s: Some(0.0213),
@@ -208,7 +209,7 @@ fn an_empty_page_is_a_page() {
         config_toml: "",
     });
     assert_well_formed(&html);
-    assert!(html.contains("0 of 0 frames"), "tracked");
+    assert!(html.contains("0 of 0 frames listed"), "tracked");
 }
 
 #[test]
