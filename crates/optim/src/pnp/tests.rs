@@ -278,7 +278,7 @@ fn of_equal_hypotheses_the_first_is_taken() {
     let (_, observations) = matches(4, 12, 3, 1.0);
     let camera = camera();
     let mut config = PnpConfig::default();
-    config.pose.chi2_2d = 1e-300;
+    config.pose.chi2_2d = -1.0;
     let problem = Pnp {
         intrinsics: Intrinsics::new(&camera, config.pose.bf),
         bearings: (observations.iter())
