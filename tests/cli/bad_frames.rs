@@ -112,7 +112,7 @@ fn a_strict_run_equals_a_run_of_the_good_frames() {
         let bench = Bench::new();
         damage(&bench);
         let answer = bench.run(&["--strict"]).fails_at_last_with(words);
-        answer.fails_with(&["frame 2: ", "results so far are written"]);
+        let answer = answer.fails_with(&["frame 2: ", "results so far are written"]);
         assert_same_results(&good.out(), &bench.out());
         let metrics = metrics(&bench.out());
         assert_eq!(metrics["frames"], 3, "{what}: two good ones, one bad");
