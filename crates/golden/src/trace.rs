@@ -234,6 +234,42 @@ mod tests {
     use super::*;
 
     #[test]
+    fn no_two_tensors_have_one_file() {
+        let entry = |call, tensor: &str, file: &str| Entry {
+            frame: 3,
+            stage: "pose".to_owned(),
+            call,
+            role: Role::Input,
+            tensor: tensor.to_owned(),
+            dtype: "f64".to_owned(),
+            shape: vec![2],
+            unit: "m".to_owned(),
+            file: file.to_owned(),
+        };
+        let first = entry(0, "before", "a/before.npy");
+        for (second, good) in [
+            (entry(0, "after", "a/after.npy"), true),
+            (entry(0, "before", "b/before.npy"), true),
+            (entry(1, "after", "a/before.npy"), false),
+        ] {
+            let index = Index {
+                schema: 1,
+                about: serde_json::Value::Null,
+                tensors: vec![first.clone(), second.clone()],
+            };
+            let folder = tempfile::tempdir().expect("a folder");
+            let text = serde_json::to_string(&index).expect("JSON");
+            std::fs::write(folder.path().join(INDEX), text).expect("written");
+            let found = Index::load(folder.path()).map_err(|error| error.to_string());
+            let words = "'a/before.npy' is that of an earlier tensor";
+            match found {
+                Ok(found) => assert!(good && found == index, "{second}"),
+                Err(error) => assert!(!good && error.contains(words), "{error}"),
+            }
+        }
+    }
+
+    #[test]
     fn every_tolerance_is_in_the_table() {
         assert_eq!(
             tol::TABLE[0].name,
