@@ -14,7 +14,8 @@ seconds in results.csv. Before the first mutant of a crate its tests have to pas
 
 results.csv beside this file is the report: `caught`: a test failed, or nothing came to an end in ten minutes. `missed`: all
 passed. `broken`: does not compile, so the mutant proves nothing and has to be mended. `not run`: listed, but not tried since its
-text or place changed. Exit code 1 if more than 5 % of those tried are missed or anything is broken.
+text or place changed. A row is of the code it was made with: after a change begin a new FILE. Exit code 1 if more than 5 % of
+those tried are missed or anything is broken.
 
 Needs Python 3.11 or newer, git and cargo.
 """
