@@ -19,7 +19,11 @@ fn check(files: &[(&str, &[u8])]) {
     check_dataset(&dataset);
     if let Some(strict) = strict {
         assert_eq!(strict.len(), dataset.len(), "the same frames");
-        assert_eq!(strict.ground_truth(), dataset.ground_truth(), "the same poses");
+        assert_eq!(
+            strict.ground_truth(),
+            dataset.ground_truth(),
+            "the same poses"
+        );
     }
     match within_mib(64, || dataset.read(dataset.len() - 1)) {
         Ok(_) => {}
@@ -36,7 +40,11 @@ fn check_dataset(dataset: &Dataset) {
     let times = (0..dataset.len()).filter_map(|i| dataset.timestamp(i));
     assert!(times.is_sorted_by(|a, b| a < b), "ascending times");
     let left_out = dataset.left_out().map_or(0, |out| out.frames);
-    assert_eq!(dataset.listed(), dataset.len() + left_out, "every image listed");
+    assert_eq!(
+        dataset.listed(),
+        dataset.len() + left_out,
+        "every image listed"
+    );
     for pose in dataset.ground_truth().unwrap_or_default() {
         let pose = &pose.world_from_camera;
         let unit: f64 = pose.rotation.quaternion().iter().map(|q| q * q).sum();
@@ -50,7 +58,10 @@ fuzz_target!(|data: &[u8]| {
     let first = parts.next().unwrap_or_default();
     let second = parts.next().unwrap_or_default();
     check(&[("transforms.json", first)]);
-    check(&[("transforms.json", first), ("camera.txt", CAMERA.as_bytes())]);
+    check(&[
+        ("transforms.json", first),
+        ("camera.txt", CAMERA.as_bytes()),
+    ]);
     check(&[
         ("color/000000.jpg", b""),
         ("color/000001.jpg", b""),
