@@ -62,11 +62,27 @@ def trajectory():
     put("trajectory", "desk", "\n".join(lines) + "\n")
 
 
+def layouts():
+    pose = [[0, -1, 0, 1.5], [1, 0, 0, -2.5], [0, 0, 1, 3.5], [0, 0, 0, 1]]
+    frame = {"file_path": "images/frame_00001.png", "depth_file_path": "depth/frame_00001.png", "transform_matrix": pose}
+    camera = {"w": 8, "h": 6.0, "fl_x": 10.0, "fl_y": 11, "cx": 4.0, "cy": 3.0, "k1": 0.01, "camera_model": "OPENCV"}
+    alone = {"file_path": "./images/frame_00002.png", "transform_matrix": pose}
+    put("layouts", "nerfstudio", json.dumps(camera | {"frames": [frame, alone]}, indent=1))
+    of_frame = {key: camera[key] for key in ["fl_x", "fl_y", "cx", "cy", "w", "h"]}
+    put("layouts", "polycam", json.dumps({"frames": [frame | of_frame, alone | of_frame | {"fl_x": 20.0}]}))
+    rows = "\n".join(" ".join(map(str, row)) for row in pose)
+    log = f"1 1 2\n{rows}\n0 0 1\n{rows}\n"
+    matrix = [10.0, 0, 0, 0, 11.0, 0, 3.5, 2.5, 1]
+    put("layouts", "open3d", json.dumps({"width": 8, "height": 6, "intrinsic_matrix": matrix}) + "\0" + log)
+    replica = {"camera": {"w": 8, "h": 6, "fx": 10.0, "fy": 11.0, "cx": 3.5, "cy": 2.5, "scale": 6553.5}}
+    put("layouts", "replica", json.dumps(replica) + "\0" + rows.replace("\n", " ") + "\n")
+
+
 def calibration():
     put("calibration", "row", "# w h\n640 480 535.4 539.2 320.1 247.6 5000 30\n")
     put("calibration", "long", "640 480 517.3 516.5 318.6 255.3 1000 30 0.26 -0.95 -0.005 0.003 1.16\ndepth_delay_s = -0.015\n")
     keys = "width height fx fy cx cy depth_factor fps k1 k2 p1 p2 k3 depth_max_raw depth_delay_s".split()
-    values = [4096, 1, 1e-3, 2e5, -1, 0.5, 1000, 30, 1e-9, 0, 0, 0, -0.0, 65535, 1]
+    values = [8192, 1, 1e-3, 2e5, -1, 0.5, 1000, 30, 1e-9, 0, 0, 0, -0.0, 65535, 1]
     put("calibration", "keys", "".join(f"{k} = {v}  # {k}\n" for k, v in zip(keys, values)))
     put("calibration", "twice", "width = 3\nwidth = 4\n")
     put("calibration", "desk", (ROOT / "tests/data/tum_fr1_desk_9/camera.txt").read_bytes())
@@ -87,8 +103,8 @@ def images():
     raw = b"".join((b"\0" + bytes(range(w))) * h for w, h in passes)
     header = struct.pack(">IIBBBBB", WIDTH, HEIGHT, 8, 0, 0, 0, 1)
     put("images", "adam7.png", b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(raw)) + chunk(b"IEND", b""))
-    big = struct.pack(">IIBBBBB", 4096, 4096, 8, 0, 0, 0, 0)
-    rows = zlib.compress(bytes(4097 * 4096), 9)
+    big = struct.pack(">IIBBBBB", 8192, 2048, 8, 0, 0, 0, 0)
+    rows = zlib.compress(bytes(8193 * 2048), 9)
     put("images", "large.png", b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", big) + chunk(b"IDAT", rows) + chunk(b"IEND", b""))
     text = chunk(b"iCCP", b"x\0\0" + zlib.compress(bytes(100))) + chunk(b"zTXt", b"k\0\0" + zlib.compress(bytes(1000)))
     put("images", "text.png", png(8, 2, pixels(3), text))
@@ -218,7 +234,7 @@ def case():
 
 def documents():
     header = {
-        "format": 9, "program": "0.2.0", "recording": "seed", "frames_done": 3, "tracked": 3, "keyframes": 1,
+        "format": 10, "program": "0.2.0", "recording": "seed", "frames_done": 3, "tracked": 3, "keyframes": 1,
         "landmarks": 5, "gaussians": 7, "seed": 1,
         "camera": {"width": 8, "height": 6, "fx": 10.0, "fy": 11.0, "cx": 3.5, "cy": 2.5,
                    "distortion": {"k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0, "k3": 0.0}},
@@ -245,5 +261,5 @@ if __name__ == "__main__":
     for old in SEEDS.glob("*"):
         if old.name != "session":
             shutil.rmtree(old)
-    for make in [lists, trajectory, calibration, images, ply, archive, config, npy, case, documents]:
+    for make in [lists, layouts, trajectory, calibration, images, ply, archive, config, npy, case, documents]:
         make()

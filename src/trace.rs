@@ -1,8 +1,9 @@
 //! [`record`] and [`write()`]: inputs and outputs of every stage of some frames, on disk.
 
+use std::collections::BTreeSet;
 use std::ops::RangeInclusive;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use garad_core::{Camera, Par};
 use garad_golden::trace::{Entry, INDEX, Index, Role};
 use garad_golden::{Dtype, Tensor, npy};
@@ -71,7 +72,7 @@ fn tensor(record: &TraceRecord) -> Option<Tensor> {
 /// Writes the records and `config.toml` into a folder, as `garad_golden::trace` describes. `about` describes the run.
 ///
 /// # Errors
-/// Every file that cannot be written.
+/// Two tensors of one name in a run of a stage; every file that cannot be written.
 pub fn write(
     mut out: ResultFolder,
     records: &[TraceRecord],
@@ -83,8 +84,10 @@ pub fn write(
         about,
         tensors: Vec::new(),
     };
+    let mut files = BTreeSet::new();
     for record in records {
         let file = Entry::path_of(record.frame.0, record.stage, record.call, &record.tensor);
+        ensure!(files.insert(file.clone()), "{file}: recorded twice");
         let tensor = tensor(record).with_context(|| format!("{file}: shape and size disagree"))?;
         out.bytes(&file, &npy::encode(&tensor));
         index.tensors.push(Entry {
@@ -120,4 +123,45 @@ fn text(index: &Index) -> Result<String> {
         index.schema,
         lines.join(",\n")
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use garad_core::FrameId;
+    use garad_slam::trace::Role;
+
+    use super::*;
+
+    #[test]
+    fn no_tensor_is_written_over_another() {
+        let record = |frame, call, role, tensor: &str| TraceRecord {
+            frame: FrameId(frame),
+            stage: "pose",
+            call,
+            role,
+            tensor: tensor.to_owned(),
+            unit: "m",
+            shape: vec![2],
+            values: Values::F64(vec![1.5, f64::from(frame)]),
+        };
+        let good = [
+            record(3, 0, Role::Input, "before"),
+            record(3, 0, Role::Output, "after"),
+            record(3, 1, Role::Input, "before"),
+            record(4, 0, Role::Input, "before"),
+        ];
+        for (role, error) in [
+            (Role::Input, "000003/pose_1/before.npy: recorded twice"),
+            (Role::Output, "000003/pose_1/before.npy: recorded twice"),
+        ] {
+            let folder = tempfile::tempdir().expect("a folder");
+            let open = || ResultFolder::open(folder.path(), "trace").expect("empty");
+            let config = Config::default();
+            write(open(), &good, Value::Null, &config).expect("all different");
+            assert!(folder.path().join(INDEX).is_file(), "written");
+            let twice = [&good[..], &[record(3, 1, role, "before")]].concat();
+            let found = write(open(), &twice, Value::Null, &config).expect_err("twice");
+            assert_eq!(found.to_string(), error, "{role:?}");
+        }
+    }
 }

@@ -116,7 +116,8 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let mut result = run.finish()?;
 
     let path_truth = input::truth(&dataset, args.ground_truth);
-    let mut judged = Judged::new(dataset.name(), &result, path_truth.as_ref());
+    let mut judged =
+        Judged::new(dataset.name(), &result, path_truth.as_ref()).of_recording(&dataset);
     if run_options.config.train.final_iterations > 0 && !result.log.interrupted {
         let images = frames(&dataset, oracle.as_ref(), truth.as_ref());
         let quality = render_quality::judge(

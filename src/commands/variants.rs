@@ -131,7 +131,7 @@ fn run_one(
     }
     let spent_ms = before_ms.zip(processor_ms()).map(|(a, b)| b - a);
     let truth = input::truth(dataset, GroundTruth::Raw);
-    let mut judged = Judged::new(dataset.name(), &result, truth.as_ref());
+    let mut judged = Judged::new(dataset.name(), &result, truth.as_ref()).of_recording(dataset);
     if !result.gaussians().is_empty() {
         let (map, path) = (result.gaussians(), &result.trajectory);
         let par = Par::new(options.threads);

@@ -69,7 +69,7 @@ fn remark(result: &RunResult, judged: &Judged) -> String {
         Some(error) => format!("stopped by --strict: {}", reason(error)),
         None if result.trajectory.is_empty() => "no frame could be tracked".to_owned(),
         None if judged.ate.is_none() => judged.protocol.clone(),
-        None => String::new(),
+        None => judged.metrics.why_left_out(),
     }
 }
 

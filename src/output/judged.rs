@@ -1,7 +1,10 @@
 //! [`Judged`]: the figures of a run.
 
 use garad_core::{Label, StampedPose};
-use garad_eval::{Alignment, Ate, AteOptions, MAX_DT_S, Metrics, RpeOptions, ate, jitter, rpe};
+use garad_dataset::Dataset;
+use garad_eval::{
+    Alignment, Ate, AteOptions, LeftOut, MAX_DT_S, Metrics, RpeOptions, ate, jitter, rpe,
+};
 
 use crate::render_quality::RenderQuality;
 use crate::run::RunResult;
@@ -80,8 +83,15 @@ impl Judged {
     #[must_use]
     pub fn new(dataset: &str, result: &RunResult, truth: Option<&Truth>) -> Self {
         let mut metrics = Metrics::new(env!("CARGO_PKG_VERSION"), dataset);
-        metrics.frames = result.log.frames.len() + result.log.skipped.len();
-        metrics.tracked = result.trajectory.len();
+        (metrics.frames, metrics.tracked) = (result.done, result.trajectory.len());
+        let read = result.log.frames.len();
+        for (frames, why) in [
+            (result.done.saturating_sub(read), "skipped"),
+            (read.saturating_sub(metrics.tracked), "without a pose"),
+        ] {
+            add_left_out(&mut metrics, frames, why);
+        }
+        metrics.listed = metrics.frames;
         metrics.threads = result.threads;
         metrics.timing = result.log.stopwatch.summary();
         metrics.wall_s = Some(result.wall_s);
@@ -90,6 +100,8 @@ impl Judged {
         let dynamic = gaussians.label.iter().filter(|l| **l == Label::Dynamic);
         metrics.map.gaussians = Some(gaussians.len());
         metrics.map.dynamic = Some(dynamic.count());
+        metrics.map.iterations = result.slam.mapped().iter().map(|job| job.iterations).sum();
+        metrics.map.final_iterations = result.log.refined.len();
         metrics.labels = (&result.log.labels.judged).into();
         let options = AteOptions::default();
         let (path, mut warnings) = (&result.trajectory, Vec::new());
@@ -132,6 +144,20 @@ impl Judged {
         }
     }
 
+    /// Counts what the recording lists beyond the frames read: images that are no frame, and frames that an early end
+    /// has left.
+    #[must_use]
+    pub fn of_recording(mut self, dataset: &Dataset) -> Self {
+        let metrics = &mut self.metrics;
+        let not_reached = dataset.len().saturating_sub(metrics.frames);
+        add_left_out(metrics, not_reached, "not reached");
+        if let Some(out) = dataset.left_out() {
+            add_left_out(metrics, out.frames, &out.why);
+        }
+        metrics.listed = dataset.listed();
+        self
+    }
+
     /// Adds the figures of the map's renders.
     pub fn add_render(&mut self, quality: &RenderQuality) {
         self.metrics.render = quality.all;
@@ -144,11 +170,14 @@ impl Judged {
     pub fn summary(&self) -> Vec<String> {
         let m = &self.metrics;
         let mut lines = vec![format!(
-            "tracked    {} of {} frames, {} Gaussians",
-            m.tracked,
-            m.frames,
-            m.map.gaussians.unwrap_or(0)
+            "tracked    {} frames listed, {} Gaussians, {} training iterations",
+            m.tracked_of_listed(),
+            m.map.gaussians.unwrap_or(0),
+            m.map.iterations + m.map.final_iterations
         )];
+        if !m.left_out.is_empty() {
+            lines.push(format!("left out   {}", m.why_left_out()));
+        }
         if let Some(frame) = m.timing.get("frame") {
             lines.push(format!(
                 "time       {:.1} s in all; tracking alone {:.1} frames/s ({:.1} ms median, {:.1} ms at 95 %), {} thread(s)",
@@ -212,6 +241,13 @@ impl Judged {
             None => lines.push(format!("ATE        {}", self.protocol)),
         }
         lines
+    }
+}
+
+fn add_left_out(metrics: &mut Metrics, frames: usize, why: &str) {
+    if frames > 0 {
+        let why = why.to_owned();
+        metrics.left_out.push(LeftOut { frames, why });
     }
 }
 

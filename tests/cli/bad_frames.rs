@@ -97,6 +97,8 @@ fn bad_frames_are_skipped_and_counted() {
         }
         let metrics = metrics(&bench.out());
         assert_eq!(metrics["frames"], 6, "{what}");
+        let skipped = serde_json::json!([{"frames": 1, "why": "skipped"}]);
+        assert_eq!(metrics["left_out"], skipped, "{what}");
         assert_eq!(metrics["tracked"], 5, "{what}");
         assert!(metrics["ate"]["rmse_m"].is_f64(), "{what}: {metrics}");
     }
@@ -110,10 +112,15 @@ fn a_strict_run_equals_a_run_of_the_good_frames() {
         let bench = Bench::new();
         damage(&bench);
         let answer = bench.run(&["--strict"]).fails_at_last_with(words);
-        answer.fails_with(&["frame 2: ", "results so far are written"]);
+        let answer = answer.fails_with(&["frame 2: ", "results so far are written"]);
         assert_same_results(&good.out(), &bench.out());
         let metrics = metrics(&bench.out());
         assert_eq!(metrics["frames"], 3, "{what}: two good ones, one bad");
+        assert_eq!(metrics["listed"], 6, "{what}");
+        assert!(
+            answer.out.contains("left out   1 skipped, 3 not reached\n"),
+            "{answer:?}"
+        );
         assert_eq!(metrics["tracked"], 2, "{what}");
         assert!(bench.out().join("report.html").is_file(), "{what}");
     }

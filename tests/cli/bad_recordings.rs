@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use crate::support::{Bench, arg, assert_same_results, garad, run_into, short};
+use crate::support::{Bench, arg, assert_same_results, garad, metrics, run_into, short};
 
 #[test]
 fn other_files_are_refused() {
@@ -111,9 +111,23 @@ fn colour_without_depth_is_dropped_or_refused() {
     let answer = bench.run(&[]).succeeds();
     let words = "1 of 6 colour images have no depth image";
     assert!(answer.err.contains(words), "{answer:?}");
-    assert!(answer.out.contains("5 of 5 frames"), "{answer:?}");
+    assert!(
+        answer.out.contains("tracked    5 of 6 frames listed"),
+        "{answer:?}"
+    );
+    let why = "1 without a depth image within 20 ms";
+    assert!(
+        answer.out.contains(&format!("left out   {why}\n")),
+        "{answer:?}"
+    );
+    let figures = metrics(&bench.out());
+    for (key, frames) in [("listed", 6), ("frames", 5), ("tracked", 5)] {
+        assert_eq!(figures[key], frames, "{figures}");
+    }
     let report = fs::read_to_string(bench.out().join("report.html")).expect("a report");
     assert!(report.contains(words), "in the report");
+    let card = format!("5 of 6 frames listed · {why}");
+    assert!(report.contains(&card), "in the report");
     bench.write("depth.txt", "7 depth/0.000000.png\n");
     bench
         .run(&[])

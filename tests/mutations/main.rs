@@ -1,6 +1,6 @@
 //! Every mutant of the list can still be made: each text is there, once, to be replaced.
 //!
-//! Whether the tests notice the mutants takes `tests/mutations/run.py` half an hour; `results.csv` has its answer.
+//! Whether the tests notice the mutants takes `tests/mutations/run.py` hours; `results.csv` has its answers.
 
 use std::fs;
 use std::path::Path;

@@ -63,7 +63,18 @@ pub enum CameraError {
         /// Its value.
         value: f64,
     },
+    /// A width or height beyond [`MAX_SIDE_PX`].
+    #[error("camera {field} is {value}; expected at most {MAX_SIDE_PX} pixels")]
+    TooLarge {
+        /// Which number.
+        field: &'static str,
+        /// Its value.
+        value: usize,
+    },
 }
+
+/// Largest width and height of an image, pixels: cameras of phones have up to 8064 columns.
+pub const MAX_SIDE_PX: u32 = 8192;
 
 impl Camera {
     /// A pinhole camera without distortion.
@@ -119,6 +130,11 @@ impl Camera {
         for (field, value) in positive {
             if value <= 0.0 {
                 return Err(CameraError::NotPositive { field, value });
+            }
+        }
+        for (field, value) in [("width", self.width), ("height", self.height)] {
+            if value > MAX_SIDE_PX as usize {
+                return Err(CameraError::TooLarge { field, value });
             }
         }
         Ok(())
@@ -366,6 +382,15 @@ mod tests {
             matches!(empty, Err(CameraError::NotPositive { field: "width", .. })),
             "{empty:?}"
         );
+        for (size, field) in [
+            ((8192, 8192), None),
+            ((8193, 4), Some("width")),
+            ((4, 8193), Some("height")),
+        ] {
+            let expected = field.map(|field| CameraError::TooLarge { field, value: 8193 });
+            let found = Camera::pinhole(size, [1.0, 1.0, 0.0, 0.0]).err();
+            assert_eq!(found, expected, "{size:?}");
+        }
     }
 
     #[test]

@@ -10,7 +10,7 @@ use crate::calibration::{Calibration, PRESETS, Preset};
 use crate::decode::{self, Origin};
 use crate::errors::DatasetError;
 use crate::files::{clean_name, read_file};
-use crate::layout::{self, Context, Layout, Pair, Remarks};
+use crate::layout::{self, Context, Layout, Pair, Remarks, Unpaired};
 use crate::list::Entry;
 use crate::options::OpenOptions;
 use crate::source::{Source, image_size};
@@ -35,6 +35,15 @@ pub struct Frame {
     pub depth: DepthImage,
 }
 
+/// Colour images of a recording that are no frame.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LeftOut {
+    /// How many.
+    pub frames: usize,
+    /// What they lack, as `without a depth image within 20 ms`.
+    pub why: String,
+}
+
 /// A recording: lists read, images paired, camera known. Cheap to clone.
 #[derive(Debug, Clone)]
 pub struct Dataset {
@@ -52,6 +61,7 @@ struct Inner {
     pairs: Vec<Pair>,
     ground_truth: Option<Vec<StampedPose>>,
     remarks: Remarks,
+    left_out: Option<LeftOut>,
 }
 
 impl Dataset {
@@ -96,7 +106,8 @@ impl Dataset {
             options,
             fps: calibration.fps,
         };
-        let pairs = select(path, layout.pairs(&context, &mut remarks)?, options)?;
+        let all = layout.pairs(&context, &mut remarks)?;
+        let (pairs, left_out) = select(path, all, &remarks.unpaired, options)?;
         let ground_truth = layout.truth(&context, &pairs, &mut remarks)?;
         if of_layout && layout.scales_colour() {
             calibration = at_size_of_depth(calibration, &source, &pairs);
@@ -111,6 +122,7 @@ impl Dataset {
             pairs,
             ground_truth,
             remarks,
+            left_out,
         };
         dataset.check_first().map(|inner| Self {
             inner: Arc::new(inner),
@@ -146,6 +158,20 @@ impl Dataset {
     #[must_use]
     pub fn len(&self) -> usize {
         self.inner.pairs.len()
+    }
+
+    /// Colour images listed among the frames that the options choose: [`Dataset::len`] frames and those
+    /// of [`Dataset::left_out`]. A time listed twice counts once.
+    #[must_use]
+    pub fn listed(&self) -> usize {
+        self.len() + self.inner.left_out.as_ref().map_or(0, |out| out.frames)
+    }
+
+    /// Colour images that are no frame, if there are any: between the first and the last frame that the options
+    /// choose, and beyond them at an end of the recording.
+    #[must_use]
+    pub fn left_out(&self) -> Option<&LeftOut> {
+        self.inner.left_out.as_ref()
     }
 
     /// Never true: a recording without frames is an error.
@@ -441,8 +467,13 @@ fn given_calibration(
     Ok(None)
 }
 
-/// The frames that the options leave.
-fn select(path: &Path, pairs: Vec<Pair>, options: &OpenOptions) -> Result<Vec<Pair>, DatasetError> {
+/// The frames that the options leave, and the colour images among them that are none.
+fn select(
+    path: &Path,
+    pairs: Vec<Pair>,
+    unpaired: &Unpaired,
+    options: &OpenOptions,
+) -> Result<(Vec<Pair>, Option<LeftOut>), DatasetError> {
     let first = options.first_frame;
     if first >= pairs.len() {
         return Err(DatasetError::NoSuchFrame {
@@ -459,7 +490,18 @@ fn select(path: &Path, pairs: Vec<Pair>, options: &OpenOptions) -> Result<Vec<Pa
         });
     }
     let count = options.max_frames.unwrap_or(usize::MAX);
-    Ok(pairs.into_iter().skip(first).take(count).collect())
+    let (total, until) = (pairs.len(), first.saturating_add(count));
+    let chosen: Vec<Pair> = pairs.into_iter().skip(first).take(count).collect();
+    let inside = |t_s: f64| {
+        (first == 0 || t_s > chosen[0].colour.t_s)
+            && (until >= total || t_s < chosen[chosen.len() - 1].colour.t_s)
+    };
+    let frames = unpaired.times_s.iter().filter(|t_s| inside(**t_s)).count();
+    let left_out = (frames > 0).then(|| LeftOut {
+        frames,
+        why: unpaired.why.clone(),
+    });
+    Ok((chosen, left_out))
 }
 
 /// A layout's camera for images that are all scaled down to the size of the depth images.
@@ -469,5 +511,56 @@ fn at_size_of_depth(calibration: Calibration, source: &Source, pairs: &[Pair]) -
     match size {
         Some(size) => layout::scale_to(calibration, size),
         None => calibration,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Frames at 1, 2, 4, 5, 7 s; images without depth at 0, 3, 3.5, 6, 8, 9 s.
+    #[test]
+    fn images_left_out_are_counted_in_the_range_that_is_chosen() {
+        let entry = |t_s: f64| Entry {
+            t_s,
+            stamp: String::new(),
+            file: String::new(),
+            line: 1,
+        };
+        let pair = |t_s| Pair {
+            colour: entry(t_s),
+            depth: entry(t_s),
+            number: 0,
+        };
+        let unpaired = Unpaired {
+            why: "without depth".to_owned(),
+            times_s: vec![0.0, 3.0, 3.5, 6.0, 8.0, 9.0],
+        };
+        for (first_frame, max_frames, frames, left_out) in [
+            (0, None, 5, 6),
+            (0, Some(9), 5, 6),
+            (0, Some(5), 5, 6),
+            (0, Some(4), 4, 3), // 0, 3, 3.5; 6 is after the last frame chosen
+            (0, Some(2), 2, 1),
+            (1, None, 4, 5),
+            (1, Some(2), 2, 2),
+            (2, Some(2), 2, 0),
+            (4, None, 1, 2),
+        ] {
+            let options = OpenOptions {
+                first_frame,
+                max_frames,
+                ..OpenOptions::default()
+            };
+            let all = [1.0, 2.0, 4.0, 5.0, 7.0].map(pair).to_vec();
+            let (chosen, found) =
+                select(Path::new("rec"), all, &unpaired, &options).expect("inside");
+            let expected = (left_out > 0).then(|| LeftOut {
+                frames: left_out,
+                why: "without depth".to_owned(),
+            });
+            let what = format!("{max_frames:?} from {first_frame}");
+            assert_eq!((chosen.len(), found), (frames, expected), "{what}");
+        }
     }
 }

@@ -80,8 +80,6 @@ fn decoder<'a>(
         _ => return Err(origin.error("neither PNG nor JPEG", expected)),
     };
     let mut caps = Limits::default();
-    caps.max_image_width = Some(limits::IMAGE_SIDE_PX);
-    caps.max_image_height = Some(limits::IMAGE_SIDE_PX);
     caps.max_alloc = Some(limits::IMAGE_DECODED_BYTES);
     reader.limits(caps);
     // A truncated JPEG decodes into an image with a grey end; only the end marker is missing.
@@ -92,13 +90,24 @@ fn decoder<'a>(
         .into_decoder()
         .map_err(|e| origin.error(e, expected))?;
     let (width, height) = decoder.dimensions();
-    if decoder.total_bytes() > limits::IMAGE_DECODED_BYTES {
-        return Err(DatasetError::TooLarge {
-            path: origin.path.to_path_buf(),
-            what: "decoded size in bytes",
-            value: decoder.total_bytes(),
-            limit: limits::IMAGE_DECODED_BYTES,
-        });
+    let side = u64::from(limits::IMAGE_SIDE_PX);
+    for (what, value, limit) in [
+        ("width in pixels", u64::from(width), side),
+        ("height in pixels", u64::from(height), side),
+        (
+            "decoded size in bytes",
+            decoder.total_bytes(),
+            limits::IMAGE_DECODED_BYTES,
+        ),
+    ] {
+        if value > limit {
+            return Err(DatasetError::TooLarge {
+                path: origin.path.to_path_buf(),
+                what,
+                value,
+                limit,
+            });
+        }
     }
     let kind = Kind {
         size: (width as usize, height as usize),

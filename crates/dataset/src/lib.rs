@@ -49,7 +49,7 @@ pub use associate::associate;
 pub use atomic::{temporary_of, write_atomically, write_bytes_atomically};
 pub use bonn::bonn_camera_from_marker;
 pub use calibration::{Calibration, Preset};
-pub use dataset::{Dataset, Frame, MASK_FOLDER};
+pub use dataset::{Dataset, Frame, LeftOut, MASK_FOLDER};
 pub use errors::DatasetError;
 pub use frames::Frames;
 pub use options::OpenOptions;

@@ -2,7 +2,7 @@
 //! allocated.
 
 /// Columns and rows of an image.
-pub const IMAGE_SIDE_PX: u32 = 4096;
+pub const IMAGE_SIDE_PX: u32 = garad_core::camera::MAX_SIDE_PX;
 /// Bytes of a decoded image, and of the memory its decoder needs.
 pub const IMAGE_DECODED_BYTES: u64 = 64 << 20;
 /// Bytes of one file: an image, a list, a trajectory.

@@ -193,6 +193,33 @@ mod tests {
         String::from_utf8(bytes).expect("ASCII")
     }
 
+    /// Stamps of recordings, in microseconds, come back with their bits; finer ones are rounded to the nearest.
+    #[test]
+    fn microseconds_are_kept() {
+        for (stamp, written) in [
+            ("1305031102.175304", "1305031102.175304"), // TUM
+            ("1548266469.88155", "1548266469.881550"),  // BONN
+            ("0.000001", "0.000001"),
+            ("99999999.999999", "99999999.999999"),
+            ("2147483648.000001", "2147483648.000001"),
+            ("12.0000004", "12.000000"),
+            ("12.0000006", "12.000001"),
+            ("1305031102.175304123", "1305031102.175304"),
+        ] {
+            let pose = |t_s| StampedPose {
+                t_s,
+                world_from_camera: Se3::identity(),
+            };
+            let t_s: f64 = stamp.parse().expect("a number");
+            let text = format(&[pose(t_s)]);
+            let line = text.lines().nth(1).expect("a pose");
+            assert!(line.starts_with(&format!("{written} ")), "{stamp}: {line}");
+            let read = parse(&text).expect("own text")[0].t_s;
+            let expected: f64 = written.parse().expect("a number");
+            assert_eq!(read.to_bits(), expected.to_bits(), "{stamp}");
+        }
+    }
+
     #[test]
     fn bad_lines_are_reported() {
         let cases = [

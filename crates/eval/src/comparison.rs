@@ -41,6 +41,8 @@ pub struct Figures {
     pub ate_std_m: Option<f64>,
     /// Frames with a pose.
     pub tracked: Option<usize>,
+    /// Colour images listed.
+    pub listed: Option<usize>,
     /// Frames read.
     pub frames: Option<usize>,
     /// Labels of keypoints, F1.
@@ -84,6 +86,7 @@ impl Figures {
             ate_rmse_m: metrics.ate.rmse_m,
             ate_std_m: metrics.ate.std_m,
             tracked: Some(metrics.tracked),
+            listed: Some(metrics.listed),
             frames: Some(metrics.frames),
             keypoint_f1: labels.keypoints.f1,
             mask_iou: labels.pixels.iou,
@@ -114,7 +117,7 @@ impl Row {
         let count = |n: Option<usize>| n.map(|n| n.to_string());
         let tracked = f
             .tracked
-            .zip(f.frames)
+            .zip(f.listed)
             .map(|(n, of)| format!("{n} of {of}"));
         [
             number(f.ate_rmse_m, 4),
@@ -178,7 +181,7 @@ pub(crate) mod tests {
 
     pub(crate) fn sample() -> Comparison {
         let mut metrics = Metrics::new("0.1.0", "walk");
-        (metrics.frames, metrics.tracked) = (60, 59);
+        (metrics.listed, metrics.frames, metrics.tracked) = (64, 60, 59);
         metrics.ate.rmse_m = Some(0.012_34);
         metrics.render_depth.ghosts = Some(0.0123);
         metrics.map.gaussians = Some(5000);
@@ -203,7 +206,7 @@ pub(crate) mod tests {
     fn markdown_has_a_row_for_each_run() {
         let text = sample().markdown();
         let expected = [
-            "| whole | 0.0123 | - | 59 of 60 | - | - | - | 1.23 | 12 | 5000 | 100 |  |",
+            "| whole | 0.0123 | - | 59 of 64 | - | - | - | 1.23 | 12 | 5000 | 100 |  |",
             "| broken | - | - | - | - | - | - | - | - | - | - | no <map> \\| none |",
             "| X-SLAM, published | 0.5000 | - | - | - | - | - | - | - | - | - |  |",
             "",

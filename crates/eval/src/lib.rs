@@ -33,7 +33,7 @@ pub use ghosts::{GHOST_GAP_M, Ghosts, ghosts};
 pub use image_metrics::{ImageQuality, compare_images, psnr_db, ssim, ssim_map};
 pub use jitter::{Jitter, jitter};
 pub use labels::{Confusion, FrameLabels, RunLabels};
-pub use metrics::{DepthMetrics, Metrics, RenderMetrics, StageTiming};
+pub use metrics::{DepthMetrics, LeftOut, Metrics, RenderMetrics, StageTiming};
 pub use report::{FrameState, ReportData, Strip};
 pub use rpe::{Rpe, RpeDelta, RpeOptions, rpe};
 pub use stats::Stats;

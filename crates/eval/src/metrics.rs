@@ -20,10 +20,16 @@ pub struct Metrics {
     pub version: String,
     /// Name of the recording.
     pub dataset: String,
+    /// Colour images the recording lists in the chosen range; those tracked and those left out add up to it.
+    #[serde(default)]
+    pub listed: usize,
     /// Frames read.
     pub frames: usize,
     /// Frames with a pose.
     pub tracked: usize,
+    /// Listed images without a pose.
+    #[serde(default)]
+    pub left_out: Vec<LeftOut>,
     /// Threads the run was allowed.
     pub threads: usize,
     /// Absolute trajectory error.
@@ -50,6 +56,15 @@ pub struct Metrics {
     pub wall_s: Option<f64>,
     /// Largest resident memory, MiB.
     pub peak_rss_mb: Option<f64>,
+}
+
+/// Listed images without a pose, for one reason.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct LeftOut {
+    /// How many.
+    pub frames: usize,
+    /// Why, in words that follow the number.
+    pub why: String,
 }
 
 /// See [`crate::ate()`].
@@ -152,6 +167,12 @@ pub struct MapMetrics {
     pub gaussians: Option<usize>,
     /// Those labelled dynamic.
     pub dynamic: Option<usize>,
+    /// Training iterations done beside tracking.
+    #[serde(default)]
+    pub iterations: usize,
+    /// Training iterations done after the last frame.
+    #[serde(default)]
+    pub final_iterations: usize,
 }
 
 /// Durations of one stage.
@@ -178,6 +199,20 @@ impl Metrics {
             dataset: dataset.to_owned(),
             ..Self::default()
         }
+    }
+
+    /// How many of the listed images have a pose, as `7 of 9`.
+    #[must_use]
+    pub fn tracked_of_listed(&self) -> String {
+        format!("{} of {}", self.tracked, self.listed)
+    }
+
+    /// Those without, as `1 without a depth image within 20 ms, 1 skipped`; empty if there are none.
+    #[must_use]
+    pub fn why_left_out(&self) -> String {
+        let parts = self.left_out.iter();
+        let parts: Vec<_> = parts.map(|o| format!("{} {}", o.frames, o.why)).collect();
+        parts.join(", ")
     }
 
     /// The text of `metrics.json`, two spaces of indentation, ending in a newline.
@@ -314,7 +349,7 @@ mod tests {
         let mut found = Vec::new();
         leaves("", &value, &mut found);
         found.sort();
-        let mut expected: Vec<&str> = "schema version dataset frames tracked threads \
+        let mut expected: Vec<&str> = "schema version dataset listed frames tracked left_out threads \
             ate.rmse_m ate.mean_m ate.median_m ate.std_m ate.max_m ate.pairs \
             rpe.trans_rmse_m_per_s rpe.rot_rmse_deg_per_s \
             jitter.rms_m jitter.ground_truth_rms_m \
@@ -322,7 +357,7 @@ mod tests {
             render_depth.l1_m render_depth.coverage render_depth.ghosts \
             labels.keypoints.precision labels.keypoints.recall labels.keypoints.f1 labels.keypoints.wrongly_dynamic \
             labels.pixels.precision labels.pixels.recall labels.pixels.f1 labels.pixels.iou \
-            map.gaussians map.dynamic \
+            map.gaussians map.dynamic map.iterations map.final_iterations \
             timing.track.median_ms timing.track.p95_ms timing.track.calls timing.track.total_ms \
             wall_s peak_rss_mb"
             .split_whitespace()

@@ -10,6 +10,7 @@
 
 pub mod diff;
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::path::Path;
 
@@ -98,8 +99,8 @@ impl Index {
     /// Reads a folder's index.
     ///
     /// # Errors
-    /// [`GoldenError`] naming the file and what is wrong with it: the text, the schema, or a file
-    /// that lies outside of the folder.
+    /// [`GoldenError`] naming the file and what is wrong with it: the text, the schema, a file
+    /// that lies outside of the folder, or one that two tensors have.
     pub fn load(folder: &Path) -> Result<Self, GoldenError> {
         let path = folder.join(INDEX);
         let index: Self =
@@ -111,6 +112,7 @@ impl Index {
             let found = index.schema;
             return Err(GoldenError::Schema { path, found });
         }
+        let mut files = BTreeSet::new();
         for entry in &index.tensors {
             let inside = |part: &str| !(part.is_empty() || part.starts_with('.'));
             if entry.file.contains('\\') || !entry.file.split('/').all(inside) {
@@ -118,6 +120,13 @@ impl Index {
                     path,
                     tensor: entry.to_string(),
                     problem: format!("file '{}' is not a plain path", entry.file),
+                });
+            }
+            if !files.insert(entry.file.as_str()) {
+                return Err(GoldenError::Tensor {
+                    path,
+                    tensor: entry.to_string(),
+                    problem: format!("file '{}' is that of an earlier tensor", entry.file),
                 });
             }
         }
@@ -223,6 +232,42 @@ pub fn tolerance(stage: &str, tensor: &str) -> &'static Tolerance {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn no_two_tensors_have_one_file() {
+        let entry = |call, tensor: &str, file: &str| Entry {
+            frame: 3,
+            stage: "pose".to_owned(),
+            call,
+            role: Role::Input,
+            tensor: tensor.to_owned(),
+            dtype: "f64".to_owned(),
+            shape: vec![2],
+            unit: "m".to_owned(),
+            file: file.to_owned(),
+        };
+        let first = entry(0, "before", "a/before.npy");
+        for (second, good) in [
+            (entry(0, "after", "a/after.npy"), true),
+            (entry(0, "before", "b/before.npy"), true),
+            (entry(1, "after", "a/before.npy"), false),
+        ] {
+            let index = Index {
+                schema: 1,
+                about: serde_json::Value::Null,
+                tensors: vec![first.clone(), second.clone()],
+            };
+            let folder = tempfile::tempdir().expect("a folder");
+            let text = serde_json::to_string(&index).expect("JSON");
+            std::fs::write(folder.path().join(INDEX), text).expect("written");
+            let found = Index::load(folder.path()).map_err(|error| error.to_string());
+            let words = "'a/before.npy' is that of an earlier tensor";
+            match found {
+                Ok(found) => assert!(good && found == index, "{second}"),
+                Err(error) => assert!(!good && error.contains(words), "{error}"),
+            }
+        }
+    }
 
     #[test]
     fn every_tolerance_is_in_the_table() {

@@ -77,6 +77,17 @@ pub(crate) struct Remarks {
     pub(crate) warnings: Vec<String>,
     /// What was assumed.
     pub(crate) notes: Vec<String>,
+    /// Listed colour images that are no frame.
+    pub(crate) unpaired: Unpaired,
+}
+
+/// Listed colour images without a depth image of their own.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Unpaired {
+    /// What they lack.
+    pub(crate) why: String,
+    /// Their times, seconds, ascending.
+    pub(crate) times_s: Vec<f64>,
 }
 
 /// Pose of a frame, by its number: `None` where the recording marks it as lost.

@@ -12,8 +12,8 @@ use garad_core::{Camera, Se3, So3};
 use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 
-use super::series::pair;
-use super::{Context, Layout, NumberedPose, Pair, Remarks, intrinsics, pose};
+use super::series::{pair, time_s};
+use super::{Context, Layout, NumberedPose, Pair, Remarks, Unpaired, intrinsics, pose};
 use crate::calibration::Calibration;
 use crate::errors::{DatasetError, excerpt};
 use crate::files::{CLEAN_NAME, clean_name};
@@ -236,6 +236,12 @@ impl Layout for Nerfstudio {
                 frames.len()
             ));
         }
+        let alone = frames.iter().enumerate();
+        let alone = alone.filter(|(_, frame)| frame.depth_file_path.is_none());
+        remarks.unpaired = Unpaired {
+            why: "without a depth_file_path".to_owned(),
+            times_s: alone.map(|(i, _)| time_s(context, i)).collect(),
+        };
         let focal = || frames.iter().filter_map(|frame| frame.camera.fl_x);
         let low = focal().fold(f64::INFINITY, f64::min);
         let high = focal().fold(0.0, f64::max);

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Context, Pair, Remarks};
+use super::{Context, Pair, Remarks, Unpaired};
 use crate::errors::DatasetError;
 use crate::limits;
 use crate::list::Entry;
@@ -109,11 +109,23 @@ pub(super) fn pairs(
             ));
         }
     }
+    let alone = colour_files
+        .keys()
+        .filter(|number| !depth_files.contains_key(number));
+    remarks.unpaired = Unpaired {
+        why: "without a depth image of their number".to_owned(),
+        times_s: alone.map(|&number| time_s(context, number)).collect(),
+    };
     remarks.notes.push(format!(
         "no time stamps: frames are at their number / {} s, the fps of the calibration",
         context.fps
     ));
     Ok(pairs)
+}
+
+/// number / fps.
+pub(super) fn time_s(context: &Context<'_>, number: usize) -> f64 {
+    number as f64 / context.fps
 }
 
 /// The frame `number`, the i-th of those found, at number / fps.
@@ -123,7 +135,7 @@ pub(super) fn pair(
     number: usize,
     [colour, depth]: [&String; 2],
 ) -> Pair {
-    let t_s = number as f64 / context.fps;
+    let t_s = time_s(context, number);
     let entry = |file: &String, offset_s: f64| Entry {
         t_s: t_s + offset_s,
         stamp: format!("{t_s:.6}"),

@@ -2,7 +2,7 @@
 
 use garad_core::StampedPose;
 
-use super::{Context, Layout, Pair, Remarks};
+use super::{Context, Layout, Pair, Remarks, Unpaired};
 use crate::associate::{associate, closest_s};
 use crate::errors::DatasetError;
 use crate::list::{Entry, parse_list};
@@ -80,6 +80,13 @@ impl Layout for Tum {
                 ));
             }
         }
+        let mut paired = pairs.iter().map(|pair| pair.0).peekable();
+        remarks.unpaired = Unpaired {
+            why: format!("without a depth image within {window_ms} ms"),
+            times_s: (colour_s.iter().enumerate())
+                .filter_map(|(i, t_s)| paired.next_if_eq(&i).is_none().then_some(*t_s))
+                .collect(),
+        };
         let pair = |(i, j): (usize, usize)| Pair {
             colour: colour[i].clone(),
             depth: depth[j].clone(),

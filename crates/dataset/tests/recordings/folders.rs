@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use garad_dataset::{Dataset, DatasetError, OpenOptions, Preset};
+use garad_dataset::{Dataset, DatasetError, LeftOut, OpenOptions, Preset};
 
 use crate::fixture::{Recording, colour, raw_depth};
 
@@ -193,6 +193,12 @@ fn images_without_partner_are_counted() {
         "1.005 depth/1.005.png\n1.205 depth/1.205.png\n9.0 x.png\n",
     );
     let dataset = recording.open().expect("two pairs");
+    let left_out = LeftOut {
+        frames: 1,
+        why: "without a depth image within 20 ms".to_owned(),
+    };
+    assert_eq!(dataset.left_out(), Some(&left_out), "at 1.1 s");
+    assert_eq!(dataset.listed(), 3, "and two frames");
     assert_eq!(
         (dataset.timestamp(0), dataset.timestamp(1)),
         (Some(1.0), Some(1.2)),

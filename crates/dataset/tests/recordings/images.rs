@@ -182,17 +182,35 @@ fn a_size_that_changes_is_an_error_of_its_frame() {
 #[test]
 fn an_image_above_the_limits_is_not_decoded() {
     let recording = Recording::new(1);
+    let good = fs::read(recording.at(RGB0)).expect("there");
     // A header alone: 20000x20000 pixels would be 1.2 GB.
-    let mut png = fs::read(recording.at(RGB0)).expect("there");
-    png[16..24].copy_from_slice(&[0, 0, 0x4E, 0x20, 0, 0, 0x4E, 0x20]);
-    let crc = png_crc(&png[12..29]);
-    png[29..33].copy_from_slice(&crc.to_be_bytes());
-    recording.write(RGB0, png);
-    let message = recording.error_of(0);
-    assert!(
-        message.contains(RGB0) && !message.contains("CRC"),
-        "{message}"
-    );
+    for (width, height, words) in [
+        (
+            20_000,
+            20_000,
+            "width in pixels is 20000; expected at most 8192",
+        ),
+        (8, 8_193, "height in pixels is 8193; expected at most 8192"),
+        (
+            8_192,
+            2_731,
+            "decoded size in bytes is 67117056; expected at most 67108864",
+        ),
+        (8_192, 2_730, "8192x2730 pixels; expected 8x6"), // 67092480 bytes
+    ] {
+        let mut png = good.clone();
+        for (at, side) in [(16, width), (20, height)] {
+            png[at..at + 4].copy_from_slice(&u32::to_be_bytes(side));
+        }
+        let crc = png_crc(&png[12..29]);
+        png[29..33].copy_from_slice(&crc.to_be_bytes());
+        recording.write(RGB0, png);
+        let message = recording.error_of(0);
+        assert!(
+            message.contains(RGB0) && message.contains(words),
+            "{message}"
+        );
+    }
 }
 
 #[test]

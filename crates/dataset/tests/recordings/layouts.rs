@@ -289,6 +289,14 @@ fn check(dataset: &Dataset, case: &Case) {
     assert_eq!(dataset.warnings(), case.warnings, "{what}");
     assert_eq!(dataset.notes(), case.notes, "{what}");
     assert_eq!(dataset.len(), 3, "{what}: frames");
+    let left_out = dataset.left_out().map(|out| (out.frames, out.why.as_str()));
+    let alone =
+        (case.layout == "nerfstudio or Polycam").then_some((1, "without a depth_file_path"));
+    assert_eq!(
+        (left_out, dataset.listed()),
+        (alone, 3 + alone.map_or(0, |out| out.0)),
+        "{what}"
+    );
     for (i, t_s) in (0..).zip(case.times_s) {
         let frame = dataset.read(i as usize).expect("good");
         assert!((frame.t_s - t_s).abs() < 1e-12, "{what}: {}", frame.t_s);
@@ -717,6 +725,7 @@ fn what_is_taken_for_what() {
         "1 of 4 depth images have no colour image of their number",
     ];
     assert_eq!(dataset.warnings(), words, "counted");
+    assert_eq!(dataset.listed(), 4, "colour images");
     fs::rename(folder.rec().join("color"), folder.rec().join("image")).expect("moved");
     assert_eq!(
         folder.open().expect("good").len(),

@@ -101,17 +101,15 @@ fn ate_card(data: &ReportData<'_>) -> Markup {
 }
 
 fn tracked_card(m: &Metrics) -> Markup {
-    let share = 100.0 * m.tracked as f64 / m.frames.max(1) as f64;
+    let share = 100.0 * m.tracked as f64 / m.listed.max(1) as f64;
     // 99.96 % is not shown as 100 %.
-    let share = match m.tracked < m.frames {
+    let share = match m.tracked < m.listed {
         true => format!("{:.1} %", share.min(99.9)),
         false => format!("{share:.0} %"),
     };
-    card(
-        "Tracked",
-        &share,
-        &format!("{} of {} frames", m.tracked, m.frames),
-    )
+    let counts = format!("{} frames listed", m.tracked_of_listed());
+    let parts = [counts, m.why_left_out()].map(|part| Some(part).filter(|part| !part.is_empty()));
+    card("Tracked", &share, &joined(&parts))
 }
 
 fn render_card(name: &str, render: &RenderMetrics) -> Markup {

@@ -49,6 +49,7 @@ fn sample() -> Sample {
     let ate = ate(&truth, &found, &AteOptions::default()).expect("220 pairs");
     let mut metrics = Metrics::new("0.1.0", "rgbd_bonn_<crowd> & more");
     (metrics.frames, metrics.tracked, metrics.threads) = (240, 220, 2);
+    metrics.listed = 243;
     metrics.ate = (&ate).into();
     metrics.rpe = RpeMetrics {
         trans_rmse_m_per_s: Some(0.0213),
@@ -162,7 +163,8 @@ fn a_whole_page() {
         "<h1>rgbd_bonn_&lt;crowd&gt; &amp; more</h1>",
         "1 min 23 s",
         PROTOCOL,
-        "91.7 %",
+        "90.5 %",
+        "220 of 243 frames listed",
         "2.13 cm/s",
         "1.54 mm",
         "ground truth 1.62 mm",
@@ -208,7 +210,7 @@ fn an_empty_page_is_a_page() {
         config_toml: "",
     });
     assert_well_formed(&html);
-    assert!(html.contains("0 of 0 frames"), "tracked");
+    assert!(html.contains("0 of 0 frames listed"), "tracked");
 }
 
 #[test]
@@ -261,7 +263,7 @@ fn a_page_of_several_runs() {
     assert_well_formed(&html);
     for expected in [
         "<h1>walk</h1>",
-        "<td>59 of 60</td>",
+        "<td>59 of 64</td>",
         "no &lt;map&gt; | none",
         "X-SLAM, published",
         "Measured once.",

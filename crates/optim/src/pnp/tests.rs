@@ -270,3 +270,42 @@ fn hypotheses_are_judged_by_pixels_and_refined_ones_with_depth() {
         "2 σ with its depth"
     );
 }
+
+/// With a gate that nothing passes all poses cost the same: the first pose of the first triple that allows one is taken,
+/// whatever the threads.
+#[test]
+fn of_equal_hypotheses_the_first_is_taken() {
+    let (_, observations) = matches(4, 12, 3, 1.0);
+    let camera = camera();
+    let mut config = PnpConfig::default();
+    config.pose.chi2_2d = -1.0;
+    let problem = Pnp {
+        intrinsics: Intrinsics::new(&camera, config.pose.bf),
+        bearings: (observations.iter())
+            .map(|o| camera.unproject(&o.uv_px, 1.0))
+            .collect(),
+        observations: &observations,
+        config: &config,
+    };
+    let poses = |i: usize| {
+        let mut rng = Rng::keyed(config.seed, &[i as u64]);
+        let triple = three_of(observations.len(), &mut rng);
+        p3p(
+            &triple.map(|k| problem.bearings[k]),
+            &triple.map(|k| observations[k].p_world),
+        )
+    };
+    let mut several = 0;
+    for i in 0..40 {
+        let (found, poses) = (problem.sample(i).map(|h| h.pose), poses(i));
+        several += usize::from(poses.len() > 1);
+        assert_eq!(found, poses.first().copied(), "triple {i}");
+    }
+    assert!(several >= 10, "{several} triples with several poses");
+    let first = (0..config.max_samples).find_map(|i| poses(i).first().copied());
+    for par in [Par::Seq, Par::new(3)] {
+        let (found, drawn) = problem.consensus(par).expect("a pose");
+        assert_eq!(Some(found), first, "{par:?}");
+        assert_eq!(drawn, config.max_samples, "{par:?}: nobody agrees");
+    }
+}

@@ -287,6 +287,68 @@ mod tests {
         }
     }
 
+    /// The numbers of decisions 005, 011, 012 and 020, and of eq. 7.
+    #[test]
+    fn defaults_are_those_of_their_decisions() {
+        let labels = LabelConfig::default();
+        let counts = [
+            labels.bootstrap_frames,
+            labels.settle_frames,
+            labels.memory_frames,
+        ];
+        assert_eq!(counts, [10, 45, 180], "011, 005");
+        let gaps = (labels.history_gap, labels.rest_frames);
+        assert_eq!(
+            gaps,
+            (5, 10),
+            "005: one in five frames; as long as the bootstrap"
+        );
+        let sides = [labels.step_px, labels.dilate_px, labels.reach_px];
+        assert_eq!(sides, [16, 8, 4], "005");
+        let bits = |numbers: &[f64]| numbers.iter().map(|n| n.to_bits()).collect::<Vec<_>>();
+        let trust = [labels.trust_young, labels.trust_old, labels.trust_unknown];
+        assert_eq!(bits(&trust), bits(&[0.55, 0.97, 0.55]), "005");
+        let gates = [labels.suspect_sigmas, labels.max_moving, labels.edge_ratio];
+        assert_eq!(bits(&gates), bits(&[3.0, 0.9, 0.04]), "005");
+        let noise = [labels.noise.per_m, labels.noise.floor_m];
+        assert_eq!(bits(&noise), bits(&[0.003, 0.01]), "005");
+        let switches = [
+            labels.enabled,
+            labels.bootstrap_restart,
+            labels.mask_freed_space,
+            labels.map,
+        ];
+        assert_eq!(switches, [true; 4], "011, 013");
+        assert_eq!(labels.window.runs, 10, "eq. 7");
+        let choices = (labels.source, labels.depth_cue, labels.tagged);
+        let expected = (
+            LabelSource::Frames,
+            DepthCue::FreeSpace,
+            TaggedLabels::Evidence,
+        );
+        assert_eq!(choices, expected, "005, 020");
+        let patch = PatchMotionConfig::default();
+        assert_eq!(
+            (patch.enabled, patch.ages_frames),
+            (true, [10, 20, 30]),
+            "012"
+        );
+        let limits = [
+            patch.min_suspects,
+            patch.sigma_px,
+            patch.same_correlation,
+            patch.min_correlation,
+            patch.min_ratio,
+            patch.min_gain,
+            patch.edge_m,
+        ];
+        assert_eq!(
+            bits(&limits),
+            bits(&[0.02, 0.3, 0.9, 0.4, 1.5, 0.05, 0.15]),
+            "012"
+        );
+    }
+
     #[test]
     fn gaussians_are_labelled_by_two_of_four_sources() {
         use LabelSource::{Both, Flow, Frames, Gaussians};

@@ -167,7 +167,7 @@ mod tests {
 
     use super::*;
     use crate::config::Config;
-    use crate::testing::{World, keypoints, places, wall};
+    use crate::testing::{World, keypoints, places, uneven_camera, wall};
 
     /// Frames 3, 7, 8, 15 and 20 of a camera that goes to the right before the wall: with f = 120 px, what is at 3 m goes
     /// 2 px to the left for 5 cm.
@@ -216,6 +216,27 @@ mod tests {
         assert!(future_views(&world.context, &five).is_empty(), "one alone");
         five.frames.clear();
         assert!(future_views(&world.context, &five).is_empty(), "none");
+    }
+
+    /// 24 px to the left at 3 m with fx = 110 px: 0.65 m, found from three matches.
+    #[test]
+    fn a_motion_far_from_rest_takes_the_first_frame_to_the_last() {
+        let world = World::with_camera(uneven_camera(), Config::default());
+        let mut rng = Rng::new(9);
+        let seen: Vec<_> = places().into_iter().filter(|[x, _]| *x >= 30).collect();
+        let descriptors: Vec<_> = (seen.iter())
+            .map(|_| garad_features::Descriptor([0; 4].map(|_| rng.next_u64())))
+            .collect();
+        let [first, last] = [0, 24].map(|left_px| {
+            let shifted = seen.iter().map(|[x, y]| [x - left_px, *y]);
+            let mut frame = world.frame_of(3, &keypoints(shifted), &wall());
+            frame.descriptors.clone_from(&descriptors);
+            frame
+        });
+        let found = register(&world.context, &first, &last).expect("depth");
+        let expected = Se3::exp(&Vector6::new(-72.0 / 110.0, 0.0, 0.0, 0.0, 0.0, 0.0));
+        let off = (found * expected.inverse()).log().norm();
+        assert!(off < 1e-2, "{found:?}");
     }
 
     #[test]

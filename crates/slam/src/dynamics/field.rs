@@ -12,7 +12,7 @@ use garad_crf::{Crf, Cues, Node, unary};
 use super::evidence::{DepthEvidence, FreeSpaceHistory};
 use super::flow_check::{at_rest, outliers};
 use super::mask::{label_at, mask_from_beliefs};
-use super::past::ReferenceImage;
+use super::past::{ReferenceImage, nearest_to_rest};
 use super::patch_motion::add_patch_motion;
 use super::samples::{FrameView, Lattice, Sample, keypoint_samples};
 use crate::config::Config;
@@ -77,8 +77,7 @@ pub(crate) fn label_samples(
         if contradicted(&evidence) {
             return None;
         }
-        let off = |r: &&ReferenceImage<'_>| r.age_frames.abs_diff(config.labels.rest_frames);
-        if let Some(reference) = references.iter().min_by_key(off) {
+        if let Some(reference) = nearest_to_rest(references, config.labels.rest_frames) {
             let rests = at_rest(context, pyramid, *reference, &samples, &suspected, recorder);
             let at_rest = DepthEvidence {
                 residual: Some(0.0),
@@ -110,8 +109,7 @@ pub(crate) fn label_by_flow(
     references: &[ReferenceImage<'_>],
     recorder: &mut Recorder,
 ) -> Option<FrameLabels> {
-    let off = |r: &&ReferenceImage<'_>| r.age_frames.abs_diff(context.config.labels.rest_frames);
-    let reference = references.iter().min_by_key(off)?;
+    let reference = nearest_to_rest(references, context.config.labels.rest_frames)?;
     let keypoints = keypoint_samples(view.frame, &context.camera);
     let blocks = lattice.samples(view.frame, view.depth, context);
     let samples: Vec<Sample> = (keypoints.iter().map(|(_, sample)| *sample))

@@ -285,6 +285,30 @@ mod tests {
         }
     }
 
+    /// The first image is 6 grey levels brighter: a track's residual is about that.
+    #[test]
+    fn the_residual_of_a_track_may_be_that_of_subpixel() {
+        for (max_residual, brighter, tracked) in [(4.0, 6, false), (9.0, 6, true), (9.0, 14, false)]
+        {
+            let mut scene = scene();
+            scene.context.config.subpixel.max_residual = max_residual;
+            let [then, now] = [0, 1].map(|k| {
+                let by = if k == 0 { brighter } else { 0 };
+                let image = scene.images[k].image();
+                GrayImage::from_fn(160, 120, |x, y| image[(x, y)].saturating_add(by))
+            });
+            scene.images = pyramids([&then, &now]);
+            let restored = places().into_iter().zip(scene.rests());
+            let still = restored.filter(|([x, y], rests)| *rests && is_in(STILL_PX, *x, *y));
+            let expected = if tracked { 20 } else { 0 };
+            assert_eq!(
+                still.count(),
+                expected,
+                "{brighter} brighter, up to {max_residual}"
+            );
+        }
+    }
+
     #[test]
     fn outliers_are_what_moves_against_all_others() {
         let mut scene = scene();

@@ -16,7 +16,7 @@ use nalgebra::{Vector2, Vector3};
 
 use super::flow_check::at_rest;
 use super::mask::{label_at, mask_from_beliefs};
-use super::past::ReferenceImage;
+use super::past::{ReferenceImage, nearest_to_rest};
 use super::samples::{FrameView, Lattice, Sample, keypoint_samples};
 use crate::config::GaussianMaskConfig;
 use crate::context::Context;
@@ -256,8 +256,8 @@ fn rests(
     suspected: &[bool],
     recorder: &mut Recorder,
 ) -> Vec<bool> {
-    let off = |r: &&ReferenceImage<'_>| r.age_frames.abs_diff(context.config.labels.rest_frames);
-    match (pyramid, references.iter().min_by_key(off)) {
+    let reference = nearest_to_rest(references, context.config.labels.rest_frames);
+    match (pyramid, reference) {
         (Some(pyramid), Some(reference)) => {
             at_rest(context, pyramid, *reference, samples, suspected, recorder)
         }

@@ -88,6 +88,15 @@ impl ReferenceImage<'_> {
     }
 }
 
+/// The image whose age is nearest to `rest_frames`: by it the flow check judges. Of two that are as near the first.
+pub(super) fn nearest_to_rest<'a, 'b>(
+    references: &'b [ReferenceImage<'a>],
+    rest_frames: u32,
+) -> Option<&'b ReferenceImage<'a>> {
+    let off = |r: &&ReferenceImage<'_>| r.age_frames.abs_diff(rest_frames);
+    references.iter().min_by_key(off)
+}
+
 /// The past views whose ages are nearest to those configured, and the future views.
 pub(crate) fn reference_images<'a>(
     context: &Context,
@@ -222,6 +231,40 @@ mod tests {
         let mut world = world();
         world.context.config.labels.patch_motion.ages_frames = [8, 10, 40];
         assert_eq!(ages(&world, &[(91, true)], &[]), [9]);
+    }
+
+    #[test]
+    fn the_flow_check_takes_the_image_nearest_to_rest_frames() {
+        let (pyramid, free_space) = (image(), FreeSpace::new(&wall(), 8.0));
+        for (ages, rest_frames, expected) in [
+            (&[][..], 12, None),
+            (&[40], 12, Some(0)),
+            (&[40, 16, 7], 12, Some(1)),
+            (&[40, 17, 7], 12, Some(1)), // both 5 off: the first
+            (&[40, 18, 7], 12, Some(2)),
+            (&[7, 17, 40], 12, Some(0)),
+            (&[40, 16, 7], 29, Some(0)),
+            (&[40, 16, 7], 27, Some(1)),
+            (&[16, 40, 16], 16, Some(0)),
+            (&[40, 16, 7], 1, Some(2)),
+        ] {
+            let reference = |age_frames| ReferenceImage {
+                age_frames,
+                ..ReferenceImage::new(&pyramid, &free_space, Se3::identity())
+            };
+            let references: Vec<_> = ages.iter().copied().map(reference).collect();
+            let found = nearest_to_rest(&references, rest_frames);
+            let expected = expected.map(|i: usize| &references[i]);
+            let same = match (found, expected) {
+                (Some(found), Some(expected)) => std::ptr::eq(found, expected),
+                (found, expected) => found.is_none() && expected.is_none(),
+            };
+            assert!(
+                same,
+                "{ages:?}, {rest_frames}: {:?}",
+                found.map(|r| r.age_frames)
+            );
+        }
     }
 
     #[test]

@@ -51,15 +51,17 @@ impl Grid {
     }
 
     pub(super) fn cells(&self, uv: Vector2<f64>, radius: f64) -> impl Iterator<Item = usize> + '_ {
+        // A frame that was dropped has no cell.
+        let last = [self.columns, self.rows].map(|n| n.saturating_sub(1));
         let (x0, x1) = (
-            cell_of(uv.x - radius, self.columns - 1),
-            cell_of(uv.x + radius, self.columns - 1),
+            cell_of(uv.x - radius, last[0]),
+            cell_of(uv.x + radius, last[0]),
         );
         let (y0, y1) = (
-            cell_of(uv.y - radius, self.rows - 1),
-            cell_of(uv.y + radius, self.rows - 1),
+            cell_of(uv.y - radius, last[1]),
+            cell_of(uv.y + radius, last[1]),
         );
-        (y0..=y1).flat_map(move |y| {
+        (y0..self.rows.min(y1 + 1)).flat_map(move |y| {
             let row = y * self.columns;
             self.index[self.start[row + x0]..self.start[row + x1 + 1]]
                 .iter()

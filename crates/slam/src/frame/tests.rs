@@ -256,4 +256,8 @@ fn a_culled_frame_keeps_its_pose_and_no_feature() {
     );
     assert_eq!(frame.information.links, 9, "information");
     assert!(frame.is_empty() && frame.depth_planes.is_none(), "features");
+    for uv in [[20.0, 20.0], [0.0, 0.0], [-9.0, 70.0]] {
+        let found = frame.near(&Vector2::from(uv), 30.0, 0, 7).count();
+        assert_eq!(found, 0, "around {uv:?}");
+    }
 }

@@ -85,6 +85,8 @@ pub struct MappingDone {
     pub inserted: usize,
     /// Gaussians there are now.
     pub gaussians: usize,
+    /// Training iterations done.
+    pub iterations: usize,
     /// Loss of the last iteration, if there was one.
     pub loss: Option<f32>,
     /// Why training stopped early. The map is as it was after the last good iteration.

@@ -136,13 +136,14 @@ impl Mapper {
             dynamic: 0,
             inserted: self.gaussians.len() + relabelled.removed - before,
             gaussians: 0,
+            iterations: 0,
             loss: None,
             error: None,
             feedback,
         };
         let iterations = job.iterations;
         self.add_view(job);
-        let trained = inserted.and_then(|()| self.train(iterations, observer, &mut done.loss));
+        let trained = inserted.and_then(|()| self.train(iterations, observer, &mut done));
         if let Err(error) = trained {
             done.error = Some(format!("keyframe {}: training: {error}", done.keyframe.0));
         }
@@ -440,7 +441,7 @@ impl Mapper {
         &mut self,
         iterations: usize,
         observer: &mut dyn Observer,
-        loss: &mut Option<f32>,
+        done: &mut MappingDone,
     ) -> Result<(), TrainError> {
         let densify = self.context.config.densify.clone();
         for i in 0..iterations {
@@ -448,7 +449,10 @@ impl Mapper {
             let step = self.step(Pick::beside_tracking(i), Some(&densify));
             observer.end(Stage::Train);
             match step? {
-                Some(step) => *loss = Some(step.loss),
+                Some(step) => {
+                    done.iterations += 1;
+                    done.loss = Some(step.loss);
+                }
                 None => break,
             }
         }

@@ -149,3 +149,79 @@ impl fmt::Debug for ObservedMapper {
             .finish_non_exhaustive()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::thread;
+
+    use garad_core::{DepthImage, FrameId, KeyframeId, RgbImage};
+
+    use super::*;
+
+    fn job() -> MappingJob {
+        MappingJob {
+            keyframe: KeyframeId(0),
+            frame: FrameId(0),
+            rgb: RgbImage::new(2, 2, [0; 3]),
+            depth: DepthImage::new(2, 2, 1.0),
+            mask: None,
+            cells: None,
+            labels: Vec::new(),
+            cues: Vec::new(),
+            restored: std::collections::BTreeSet::new(),
+            moved: Vec::new(),
+            poses: Vec::new(),
+            new_landmarks: Vec::new(),
+            living: Vec::new(),
+            iterations: 0,
+        }
+    }
+
+    /// A worker whose thread has ended without its mapper, as one that panicked.
+    fn ended() -> Worker {
+        let (jobs, inbox) = channel::<MappingJob>();
+        let (outbox, done) = channel();
+        let thread = thread::spawn(move || {
+            drop((inbox, outbox));
+            None
+        });
+        let worker = Worker::Threaded { jobs, done, thread };
+        while let Worker::Threaded { thread, .. } = &worker
+            && !thread.is_finished()
+        {
+            thread::yield_now();
+        }
+        worker
+    }
+
+    /// Each call returns the error instead of waiting, before and after the loss is known.
+    #[test]
+    fn a_worker_that_lost_its_thread_says_so() {
+        let is_lost =
+            |outcome: Result<(), SlamError>| matches!(outcome, Err(SlamError::MappingLost));
+        type Call = fn(&mut Worker) -> Result<(), SlamError>;
+        let calls: [(&str, Call); 4] = [
+            ("submit", |worker| worker.submit(job(), false)),
+            ("submit to a thread", |worker| worker.submit(job(), true)),
+            ("next_answer", |worker| worker.next_answer().map(drop)),
+            ("join", Worker::join),
+        ];
+        for (what, call) in calls {
+            let mut worker = ended();
+            assert!(is_lost(call(&mut worker)), "{what}");
+            assert!(
+                worker.observed().is_none() && worker.observed_mut().is_none(),
+                "{what}"
+            );
+            let expected = what == "join";
+            assert_eq!(matches!(worker, Worker::Lost), expected, "{what}");
+        }
+        for (what, call) in &calls[..3] {
+            assert!(is_lost(call(&mut Worker::Lost)), "{what} after the loss");
+        }
+        let mut worker = ended();
+        assert!(is_lost(worker.join()), "ended");
+        assert!(worker.join().is_ok(), "nothing left to wait for");
+        assert!(is_lost(worker.next_answer().map(drop)), "after join");
+    }
+}

@@ -7,7 +7,7 @@ use thiserror::Error;
 use crate::io::SlamError;
 
 /// Number of the format; to be raised with every change of what is written or in which order.
-pub const FORMAT: u32 = 9;
+pub const FORMAT: u32 = 10;
 
 /// The version of this program.
 pub const PROGRAM: &str = env!("CARGO_PKG_VERSION");

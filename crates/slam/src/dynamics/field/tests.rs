@@ -158,6 +158,42 @@ fn nearly_everything_moving_is_a_wrong_pose() {
     assert!(moving_share(&cells) > 0.4, "{}", moving_share(&cells));
 }
 
+/// Three of 20 columns are suspects by their depth, from four to six others because their patches went 6 px: of all
+/// together `max_moving` is asked again.
+#[test]
+fn patch_motion_may_show_that_the_pose_is_wrong() {
+    let image = |by_px: usize| {
+        let texture = texture();
+        let image = GrayImage::from_fn(160, 120, |x, y| match (40..88).contains(&x) {
+            true => texture[(x + by_px, y)],
+            false => texture[(x, y)],
+        });
+        LkPyramid::new(&image, 3).expect("an image")
+    };
+    let depth = wall_behind([[136, 160], [0, 120]]);
+    for (max_moving, patch_motion, labelled) in [
+        (0.25, true, false),
+        (0.25, false, true),
+        (0.5, true, true),
+        (0.125, false, false),
+    ] {
+        let mut config = Config::default();
+        config.labels.max_moving = max_moving;
+        config.labels.patch_motion.enabled = patch_motion;
+        let mut world = world_that_saw(&wall(), config);
+        let seen = world.frame(60, &wall());
+        world.keep(seen, &wall());
+        let view = world.dynamics.past.back_mut().expect("just added");
+        view.image = Some(Arc::new(image(0)));
+        let mut now = world.frame(70, &depth);
+        let found = world.label(&mut now, &depth, Some(&image(6))).is_some();
+        assert_eq!(
+            found, labelled,
+            "up to {max_moving}, patch motion {patch_motion}"
+        );
+    }
+}
+
 #[test]
 fn trust_grows_with_the_age_of_the_evidence() {
     let odds = |residual, agreed_frames| {

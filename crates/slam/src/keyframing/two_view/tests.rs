@@ -203,6 +203,29 @@ fn a_match_is_searched_along_the_ray() {
     }
 }
 
+/// Two keypoints, `rows` above one another, look like the one of the older view, which is 10 px to the left and so far
+/// below the first: with Δ rows between the views the gate of 5.991 is at (Δ/2)².
+#[test]
+fn a_keypoint_is_in_one_pair_at_most() {
+    for (below, rows, expected) in [
+        (2.0, 1.0, &[(0, 0)][..]), // both would do: the first has it
+        (6.0, 4.0, &[(1, 0)]),     // 9 for the first: it is still free
+        (6.0, 1.0, &[]),           // 9 and 6.25
+        (6.0, 1.25, &[(1, 0)]),    // 5.64
+    ] {
+        let mut config = Config::default();
+        (config.two_view.radius_px, config.two_view.match_distance) = (7.0, 30);
+        let world = World::new(config);
+        let at = [[150.0, 60.0], [150.0, 60.0 + rows]];
+        let first = frame_at(&world, 1, &at, &[bits(3), bits(3)]);
+        let mut second = frame_at(&world, 0, &[[140.0, 60.0 + below]], &[bits(5)]);
+        second.camera_from_world = Se3::new(So3::identity(), Vector3::new(-1.0, 0.0, 0.0));
+        let pairs = pairs(&world.context, &first, &second);
+        let found: Vec<_> = pairs.iter().map(|(i, j, _)| (*i, *j)).collect();
+        assert_eq!(found, expected, "{below} rows below, {rows} apart");
+    }
+}
+
 /// (0.5, 0.2, 12) m seen from the origin and from (1, 0, 3) m: z/σ_z is 9.3 in the one camera and 7.0 in the other.
 #[test]
 fn inverse_depth_is_that_of_the_newest_camera() {
