@@ -2,6 +2,9 @@
 
 use crate::case::Case;
 
+/// An answer agrees with another one to so many tolerances: both are rounded, and the other one may be larger.
+const SLACK: f64 = 4.0;
+
 /// An answer that is not within tolerance, and the means to try others.
 pub(super) struct Suspect<'a> {
     pub(super) case: &'a Case,
@@ -37,5 +40,22 @@ impl Suspect<'_> {
     /// `name` if these numbers are within tolerance.
     pub(super) fn named(&self, name: &str, numbers: &[f64]) -> Option<String> {
         (self.passes)(numbers).then(|| name.to_owned())
+    }
+
+    /// Whether the answer is as far from these numbers as it may be from the expected ones, roundings of both included.
+    pub(super) fn agrees_with(&self, numbers: &[f64]) -> bool {
+        if numbers.len() != self.got.len() {
+            return false;
+        }
+        let rest = self.map(|i, g| {
+            let off = g - numbers[i];
+            let both_missing = g.is_nan() && numbers[i].is_nan();
+            if both_missing || off == 0.0 {
+                self.expected[i]
+            } else {
+                self.expected[i] + off / SLACK
+            }
+        });
+        (self.passes)(&rest)
     }
 }
