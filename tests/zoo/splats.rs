@@ -343,7 +343,7 @@ pub(crate) fn project_backward<const M: bool, const Z: bool>(
         pose[k] = d_p[k] + moved[k];
         pose[3 + k] = arm[k] + t0[k] + t1[k];
         if how.fault == Some(Fault::PoseFromTheRight) {
-            pose[k] = back[k];
+            pose[k] = back[k] + d_offset[k];
         }
         if how.fault == Some(Fault::PoseWithoutJacobian) {
             pose[3 + k] = arm[k];

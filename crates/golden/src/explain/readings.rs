@@ -7,6 +7,7 @@
 mod colour;
 mod field;
 mod images;
+mod reprojection;
 mod splats;
 mod training;
 
@@ -21,6 +22,7 @@ const STAGES: &[(&str, Readings)] = &[
     ("projection_covariance", splats::readings),
     ("raster", images::readings),
     ("raster_backward", colour::readings),
+    ("reprojection", reprojection::readings),
     ("kernel", field::kernel),
     ("mean_field", field::mean_field),
     ("robust", field::robust),

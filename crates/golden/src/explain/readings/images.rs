@@ -38,7 +38,6 @@ fn pixel(splats: &[Splat], x: f64, y: f64, slip: Option<Slip>) -> Pixel {
     };
     let limit = match slip {
         Some(Slip::NoAlphaLimit) => 1.0,
-        Some(Slip::GsplatAlphaLimit) => 0.999,
         _ => 0.99,
     };
     let mut rank = 0.0;

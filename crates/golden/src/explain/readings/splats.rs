@@ -30,7 +30,6 @@ pub(super) enum Slip {
     OpacityTwice,
     NoAlphaCut,
     NoAlphaLimit,
-    GsplatAlphaLimit,
     NoStop,
     NoHalf,
     NoColourLimit,
@@ -103,7 +102,7 @@ pub(super) const SLIPS: &[(Slip, &str)] = &[
     ),
     (
         Slip::PixelsAtHalves,
-        "pixel centres are taken at integers + 0.5; they are at integers (R1)",
+        "pixel centres are half a pixel off, at integers + 0.5; they are at integers (R1)",
     ),
     (
         Slip::OpacityRaw,
@@ -117,10 +116,9 @@ pub(super) const SLIPS: &[(Slip, &str)] = &[
         Slip::NoAlphaCut,
         "alpha below 1/255 is drawn; it is left out (R10)",
     ),
-    (Slip::NoAlphaLimit, "alpha is not limited to 0.99 (R10)"),
     (
-        Slip::GsplatAlphaLimit,
-        "alpha is limited to 0.999, as in gsplat; to 0.99 (R10)",
+        Slip::NoAlphaLimit,
+        "alpha is not limited to 0.99 (R10); gsplat has 0.999",
     ),
     (
         Slip::NoStop,
