@@ -41,6 +41,7 @@ const RASTER: &[(Raster, &str)] = &[
     (Raster::NoAlphaThreshold, "alpha below 1/255 is drawn"),
     (Raster::NoAlphaLimit, "alpha is not limited to 0.99"),
     (Raster::AlphaLimitOfGsplat, "gsplat has 0.999"),
+    (Raster::EarlyStop, "ends where T falls below 1e-3"),
     (Raster::NoStop, "blending does not end"),
     (Raster::BackgroundMissing, "the background is missing"),
     (Raster::BackgroundInFull, "the background is added in full"),
@@ -117,9 +118,6 @@ fn unnamed<F: Copy + Debug + PartialEq + 'static>(
     for port in ports {
         let hints = hints(port, cases, &answer);
         some += usize::from(!hints.is_empty());
-        if hints.is_empty() {
-            println!("no hint: {:?}", port.fault);
-        }
         let expected = table.iter().find(|(fault, _)| *fault == port.fault);
         if let Some((fault, text)) = expected
             && !hints.iter().any(|hint| hint.contains(text))

@@ -5,7 +5,6 @@ use super::splats::{SLIPS, Scene, Slip, Splat, column};
 use crate::explain::suspect::Suspect;
 
 const MIN_ALPHA: f64 = 1.0 / 255.0;
-const MIN_T: f64 = 1e-4;
 
 /// What one pixel shows.
 #[derive(Default)]
@@ -40,6 +39,11 @@ fn pixel(splats: &[Splat], x: f64, y: f64, slip: Option<Slip>) -> Pixel {
         Some(Slip::NoAlphaLimit) => 1.0,
         _ => 0.99,
     };
+    let stop = match slip {
+        Some(Slip::NoStop) => 0.0,
+        Some(Slip::EarlyStop) => 1e-3,
+        _ => 1e-4,
+    };
     let mut rank = 0.0;
     for s in splats {
         let [x0, y0, x1, y1] = s.footprint;
@@ -57,7 +61,7 @@ fn pixel(splats: &[Splat], x: f64, y: f64, slip: Option<Slip>) -> Pixel {
             continue;
         }
         let behind = out.left * (1.0 - alpha);
-        if behind < MIN_T && slip != Some(Slip::NoStop) {
+        if behind < stop {
             break;
         }
         let weight = alpha * out.left;

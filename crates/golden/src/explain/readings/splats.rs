@@ -31,6 +31,7 @@ pub(super) enum Slip {
     NoAlphaCut,
     NoAlphaLimit,
     NoStop,
+    EarlyStop,
     NoHalf,
     NoColourLimit,
     DirectionBackwards,
@@ -123,6 +124,10 @@ pub(super) const SLIPS: &[(Slip, &str)] = &[
     (
         Slip::NoStop,
         "blending does not end where T falls below 1e-4 (R11)",
+    ),
+    (
+        Slip::EarlyStop,
+        "blending ends where T falls below 1e-3; at 1e-4 (R11)",
     ),
     (
         Slip::NoHalf,
