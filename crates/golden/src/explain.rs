@@ -43,6 +43,12 @@ pub fn explain(
             .or_else(|| siblings::find(s))
             .or_else(|| fits::find(s))
     };
+    // Of flags nearly any change is some rearrangement.
+    let mut values: Vec<u64> = expected.iter().map(|v| v.to_bits()).collect();
+    values.sort_unstable();
+    values.dedup();
+    let varied = got.len() == 1 || values.len() > 2;
     let complete = got.iter().all(|v| !v.is_nan());
-    readings::find(&suspect).or_else(|| complete.then(|| known(&suspect)).flatten())
+    let rearranged = || (varied && complete).then(|| known(&suspect)).flatten();
+    readings::find(&suspect).or_else(rearranged)
 }

@@ -4,6 +4,8 @@ use crate::case::Case;
 
 /// An answer agrees with another one to so many tolerances: both are rounded, and the other one may be larger.
 const SLACK: f64 = 4.0;
+/// Another answer explains this one if it is nearer than this share of the distance from the expected one.
+const NEARER: f64 = 0.1;
 
 /// An answer that is not within tolerance, and the means to try others.
 pub(super) struct Suspect<'a> {
@@ -43,8 +45,16 @@ impl Suspect<'_> {
     }
 
     /// Whether the answer is as far from these numbers as it may be from the expected ones, roundings of both included.
+    /// Numbers that would pass themselves explain nothing, and neither do those that are hardly nearer.
     pub(super) fn agrees_with(&self, numbers: &[f64]) -> bool {
-        if numbers.len() != self.got.len() {
+        if numbers.len() != self.got.len() || (self.passes)(numbers) {
+            return false;
+        }
+        let distance = |from: &[f64]| -> f64 {
+            let pairs = self.got.iter().zip(from).filter(|(g, _)| !g.is_nan());
+            pairs.map(|(g, f)| (g - f) * (g - f)).sum::<f64>().sqrt()
+        };
+        if distance(numbers) > NEARER * distance(self.expected) {
             return false;
         }
         let rest = self.map(|i, g| {

@@ -1,7 +1,7 @@
 //! Images with one mistake: docs/math.md R8 to R11.
 
 use super::Reading;
-use super::splats::{SLIPS, Scene, Slip, Splat, column};
+use super::splats::{Scene, Slip, Splat, column, told_by};
 use crate::explain::suspect::Suspect;
 
 const MIN_ALPHA: f64 = 1.0 / 255.0;
@@ -12,8 +12,6 @@ struct Pixel {
     color: [f64; 3],
     depth: f64,
     left: f64,
-    count: f64,
-    last: f64,
 }
 
 fn front_to_back(splats: &mut [Splat], slip: Option<Slip>) {
@@ -44,14 +42,12 @@ fn pixel(splats: &[Splat], x: f64, y: f64, slip: Option<Slip>) -> Pixel {
         Some(Slip::EarlyStop) => 1e-3,
         _ => 1e-4,
     };
-    let mut rank = 0.0;
     for s in splats {
         let [x0, y0, x1, y1] = s.footprint;
         let outside = x < x0 || x >= x1 || y < y0 || y >= y1;
         if outside && slip != Some(Slip::NoFootprint) {
             continue;
         }
-        rank += 1.0;
         let (dx, dy) = (x + shift - s.mean_px[0], y + shift - s.mean_px[1]);
         // A sum of squares: nothing cancels along a needle.
         let slant = dx - s.cov[1] / s.cov[2] * dy;
@@ -68,8 +64,6 @@ fn pixel(splats: &[Splat], x: f64, y: f64, slip: Option<Slip>) -> Pixel {
         out.color = [0, 1, 2].map(|c| out.color[c] + weight * s.color[c]);
         out.depth += weight * s.depth_m;
         out.left = behind;
-        out.count += 1.0;
-        out.last = rank;
     }
     out
 }
@@ -116,8 +110,6 @@ fn numbers(
         }
         "depth" => |p| p.depth,
         "transmittance" => |p| p.left,
-        "contributors" => |p| p.count,
-        "last" => |p| p.last,
         _ => return None,
     };
     Some(image(scene, &splats, slip).iter().map(of).collect())
@@ -127,8 +119,6 @@ fn numbers(
 pub(super) fn readings(s: &Suspect<'_>) -> Option<Vec<Reading>> {
     let scene = Scene::read(s.case.inputs()).ok()?;
     let background = s.case.inputs().row("background").ok()?;
-    let one = |&(slip, name): &(Slip, &'static str)| {
-        Some((name, numbers(&scene, background, s.output, Some(slip))?))
-    };
-    Some(SLIPS.iter().filter_map(one).collect())
+    let one = |(slip, name)| Some((name, numbers(&scene, background, s.output, Some(slip))?));
+    Some(told_by(s.output).filter_map(one).collect())
 }

@@ -40,7 +40,7 @@ pub(super) enum Slip {
 }
 
 /// What is said of each.
-pub(super) const SLIPS: &[(Slip, &str)] = &[
+const SLIPS: &[(Slip, &str)] = &[
     (
         Slip::NoClamp,
         "the slope in the projection's Jacobian is not clamped to 1.3 tan(fov/2) (R3)",
@@ -411,6 +411,18 @@ impl Scene {
     }
 }
 
+/// The mistakes that an output is compared with. Whole numbers agree by chance with many; what colours show is named there.
+pub(super) fn told_by(output: &str) -> impl Iterator<Item = (Slip, &'static str)> {
+    let slips: Option<&[Slip]> = match output {
+        "order" => Some(&[Slip::OrderByRange, Slip::OrderReversed]),
+        "radius" | "radii" | "footprint" => Some(&[Slip::TwoSigma]),
+        "last" | "contributors" => Some(&[]),
+        _ => None,
+    };
+    let all = SLIPS.iter().copied();
+    all.filter(move |(slip, _)| slips.is_none_or(|some| some.contains(slip)))
+}
+
 /// One column of what splats are, by the name of the output.
 pub(super) fn column(splats: &[Splat], output: &str) -> Option<Vec<f64>> {
     let of = |f: fn(&Splat) -> &[f64]| splats.iter().flat_map(f).copied().collect();
@@ -429,8 +441,6 @@ pub(super) fn column(splats: &[Splat], output: &str) -> Option<Vec<f64>> {
 /// Of `projection_covariance`.
 pub(super) fn readings(s: &Suspect<'_>) -> Option<Vec<Reading>> {
     let scene = Scene::read(s.case.inputs()).ok()?;
-    let one = |&(slip, name): &(Slip, &'static str)| {
-        Some((name, column(&scene.visible(Some(slip)), s.output)?))
-    };
-    Some(SLIPS.iter().filter_map(one).collect())
+    let one = |(slip, name)| Some((name, column(&scene.visible(Some(slip)), s.output)?));
+    Some(told_by(s.output).filter_map(one).collect())
 }
