@@ -65,3 +65,17 @@ fn expected_values_come_from_outside() {
         assert!(!own, "{}: rests on this project alone", case.name());
     }
 }
+
+/// The rasterizer is held to another project's code, not only to its formulas written again.
+#[test]
+fn the_rasterizer_is_judged_by_gsplat() {
+    let cases = cases();
+    for stage in ["sh", "projection_covariance", "raster", "raster_backward"] {
+        let found = cases.iter().find(|case| {
+            case.stage() == stage
+                && case.basis() == "gsplat-torch-f64"
+                && case.inputs().has_flag("gsplat")
+        });
+        assert!(found.is_some(), "{stage}: no case by gsplat");
+    }
+}

@@ -120,10 +120,10 @@ pub(crate) fn walk<const M: bool, const Z: bool>(
             }
         };
         let dense = s.opacity * rough_exp(N::new(-0.5) * q, how.exp_ulp);
-        let highest = if how.fault == Some(Fault::NoAlphaLimit) {
-            1.0
-        } else {
-            MAX_ALPHA
+        let highest = match how.fault {
+            Some(Fault::NoAlphaLimit) => 1.0,
+            Some(Fault::AlphaLimitOfGsplat) => 0.999,
+            _ => MAX_ALPHA,
         };
         let alpha = dense.min(N::new(highest));
         if alpha < N::new(MIN_ALPHA) && how.fault != Some(Fault::NoAlphaThreshold) {
@@ -199,6 +199,9 @@ pub(crate) fn paint<const M: bool, const Z: bool>(
             }
             _ => color[c] = pixel.left.times_plus(background[c], color[c]),
         }
+    }
+    if how.fault == Some(Fault::ChannelsReversed) {
+        color.reverse();
     }
     if how.fault == Some(Fault::DepthNormalised) && pixel.left < N::ONE {
         depth = depth / (N::ONE - pixel.left);

@@ -12,10 +12,10 @@ fn kernels(case: Given<'_>, how: &How) -> [Vec<f64>; 2] {
     let (p, uv) = (case.rows::<3>("p_world"), case.rows::<2>("uv_px"));
     let sigma = |name: &str| {
         let s = case.number(name);
-        if how.is(Fault::KernelWithoutHalf) {
-            s * s
-        } else {
-            2.0 * s * s
+        match how.fault {
+            Some(Fault::KernelWithoutHalf) => s * s,
+            Some(Fault::KernelSigmaNotSquared) => 2.0 * s,
+            _ => 2.0 * s * s,
         }
     };
     let terms = case.word("terms");
@@ -108,15 +108,24 @@ pub(super) fn mean_field(case: Given<'_>, how: &How, out: &mut Outputs) {
             false => count,
         };
         while done < until {
-            q = (0..n)
-                .map(|i| {
-                    let heard: Vec<f64> = (0..n)
-                        .map(|j| coupling[i * n + j] * (2.0 * q[j] - 1.0))
-                        .collect();
-                    let new = sigmoid(u[i] + sign * how.sum.of(&heard));
-                    (1.0 - damping) * new + damping * q[i]
-                })
-                .collect();
+            let mut next = q.clone();
+            for i in 0..n {
+                let read = if how.is(Fault::FieldInPlace) {
+                    &next
+                } else {
+                    &q
+                };
+                let message = |q: f64| match how.is(Fault::FieldUnsigned) {
+                    true => q,
+                    false => 2.0 * q - 1.0,
+                };
+                let heard: Vec<f64> = (0..n)
+                    .map(|j| coupling[i * n + j] * message(read[j]))
+                    .collect();
+                let new = sigmoid(u[i] + sign * how.sum.of(&heard));
+                next[i] = (1.0 - damping) * new + damping * q[i];
+            }
+            q = next;
             done += 1;
         }
         answers.extend_from_slice(&q);

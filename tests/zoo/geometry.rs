@@ -130,6 +130,11 @@ pub(super) fn robust(case: Given<'_>, how: &How, out: &mut Outputs) {
     }
     let delta = case.number("scale");
     let s = case.reals("s");
+    let delta = if how.is(Fault::HuberKneeNotSquared) {
+        delta.sqrt()
+    } else {
+        delta
+    };
     let inside = |s: f64| s <= delta * delta;
     let constant = if how.is(Fault::HuberWithoutConstant) {
         0.0

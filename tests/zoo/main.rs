@@ -10,6 +10,7 @@ mod faults;
 mod field;
 mod geometry;
 mod harmonics;
+mod hints;
 mod number;
 mod paths;
 mod perturbed;

@@ -21,13 +21,17 @@ faults! {
     "robust" {
         HuberHalfWeight "KumarRobotics/msckf_vio#85"
         HuberWithoutConstant "tum-vision/lsd_slam#120"
+        HuberKneeNotSquared "port"
     }
     "kernel" {
         KernelWithoutHalf "lucasb-eyer/pydensecrf#118"
+        KernelSigmaNotSquared "port"
     }
     "mean_field" {
         FieldNormalisedOtherwise "NifTK/NiftyNet#211"
         FieldPushes "port"
+        FieldInPlace "port"
+        FieldUnsigned "port"
         FieldOneIterationLess "port"
     }
     "losses" {

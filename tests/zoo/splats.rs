@@ -136,7 +136,10 @@ pub(crate) fn project<const M: bool, const Z: bool>(
     let f_over_z = [fx / z, fy / z];
     let jw = [0, 1].map(|a| [0, 1, 2].map(|c| f_over_z[a] * (w[a][c] - slope[a] * w[2][c])));
     let r = rotation(&g.quaternions[i], how);
-    let sigma = g.log_scales[i].map(N::exp);
+    let sigma = match how.fault {
+        Some(Fault::ScaleNotExponential) => g.log_scales[i],
+        _ => g.log_scales[i].map(N::exp),
+    };
     let m = [0, 1].map(|a| [0, 1, 2].map(|c| dot(&jw[a], &[r[0][c], r[1][c], r[2][c]]) * sigma[c]));
     let blur = N::new(if how.fault == Some(Fault::NoDilation) {
         0.0
@@ -196,6 +199,7 @@ pub(crate) fn project<const M: bool, const Z: bool>(
     let mut opacity = sigmoid(logit);
     match how.fault {
         Some(Fault::ActivatedTwice) => opacity = sigmoid(opacity),
+        Some(Fault::OpacityNotActivated) => opacity = logit,
         Some(Fault::OpacityCompensated) => opacity = opacity * (sharp / det).sqrt(),
         Some(Fault::CoarseExp) => opacity = opacity * N::new(1.0 + 1e-4),
         _ => {}
@@ -203,7 +207,10 @@ pub(crate) fn project<const M: bool, const Z: bool>(
     Splat {
         p,
         mean_px,
-        depth_m: z,
+        depth_m: match how.fault {
+            Some(Fault::DepthIsRange) => dot(&p, &p).sqrt(),
+            _ => z,
+        },
         slope,
         clamped,
         f_over_z,
@@ -336,7 +343,7 @@ pub(crate) fn project_backward<const M: bool, const Z: bool>(
         pose[k] = d_p[k] + moved[k];
         pose[3 + k] = arm[k] + t0[k] + t1[k];
         if how.fault == Some(Fault::PoseFromTheRight) {
-            pose[k] = back[k];
+            pose[k] = back[k] + d_offset[k];
         }
         if how.fault == Some(Fault::PoseWithoutJacobian) {
             pose[3 + k] = arm[k];

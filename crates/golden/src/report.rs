@@ -29,10 +29,8 @@ pub fn table(verdicts: &[CaseVerdict]) -> String {
         let worst = verdict.worst().and_then(|output| {
             let comparison = output.comparison.as_ref()?;
             let dtype = output.dtype.map_or("", crate::Dtype::name);
-            Some(format!(
-                "{:<10.3} {} ({dtype})",
-                comparison.worst, output.name
-            ))
+            let share = share(comparison.worst);
+            Some(format!("{share:<10} {} ({dtype})", output.name))
         });
         line(
             &mut text,
@@ -78,6 +76,15 @@ pub fn table(verdicts: &[CaseVerdict]) -> String {
     text.push_str(&advice(verdicts));
     line(&mut text, format_args!("{}", summary(verdicts)));
     text
+}
+
+/// A multiple of a tolerance, with a power of ten from 1e5 on.
+fn share(worst: f64) -> String {
+    if worst.is_finite() && worst >= 1e5 {
+        format!("{worst:.1e}")
+    } else {
+        format!("{worst:.3}")
+    }
 }
 
 fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
@@ -261,4 +268,23 @@ pub fn to_json(verdicts: &[CaseVerdict], passed: bool) -> Value {
         "advice": advice(verdicts).lines().collect::<Vec<_>>(),
         "cases": verdicts.iter().map(case).collect::<Vec<_>>(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::share;
+
+    #[test]
+    fn large_shares_have_a_power_of_ten() {
+        for (worst, text) in [
+            (0.0, "0.000"),
+            (1.5, "1.500"),
+            (99_999.0, "99999.000"),
+            (1e5, "1.0e5"),
+            (1.04e15, "1.0e15"),
+            (f64::INFINITY, "inf"),
+        ] {
+            assert_eq!(share(worst), text, "{worst}");
+        }
+    }
 }

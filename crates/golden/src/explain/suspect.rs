@@ -2,6 +2,11 @@
 
 use crate::case::Case;
 
+/// An answer agrees with another one to so many tolerances: both are rounded, and the other one may be larger.
+const SLACK: f64 = 4.0;
+/// Another answer explains this one if it is nearer than this share of the distance from the expected one.
+const NEARER: f64 = 0.1;
+
 /// An answer that is not within tolerance, and the means to try others.
 pub(super) struct Suspect<'a> {
     pub(super) case: &'a Case,
@@ -37,5 +42,30 @@ impl Suspect<'_> {
     /// `name` if these numbers are within tolerance.
     pub(super) fn named(&self, name: &str, numbers: &[f64]) -> Option<String> {
         (self.passes)(numbers).then(|| name.to_owned())
+    }
+
+    /// Whether the answer is as far from these numbers as it may be from the expected ones, roundings of both included.
+    /// Numbers that would pass themselves explain nothing, and neither do those that are hardly nearer.
+    pub(super) fn agrees_with(&self, numbers: &[f64]) -> bool {
+        if numbers.len() != self.got.len() || (self.passes)(numbers) {
+            return false;
+        }
+        let distance = |from: &[f64]| -> f64 {
+            let pairs = self.got.iter().zip(from).filter(|(g, _)| !g.is_nan());
+            pairs.map(|(g, f)| (g - f) * (g - f)).sum::<f64>().sqrt()
+        };
+        if distance(numbers) > NEARER * distance(self.expected) {
+            return false;
+        }
+        let rest = self.map(|i, g| {
+            let off = g - numbers[i];
+            let both_missing = g.is_nan() && numbers[i].is_nan();
+            if both_missing || off == 0.0 {
+                self.expected[i]
+            } else {
+                self.expected[i] + off / SLACK
+            }
+        });
+        (self.passes)(&rest)
     }
 }
