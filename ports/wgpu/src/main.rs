@@ -1,0 +1,53 @@
+//! garad's map part on a GPU, judged by the golden cases:
+//!
+//! ```text
+//! garad golden check --exec 'garad-wgpu {case} {out}'
+//! ```
+//!
+//! Exit code 77 says that a stage is not ported.
+
+mod adam;
+mod case;
+mod field;
+mod gpu;
+mod losses;
+mod render;
+mod stages;
+mod sums;
+mod train;
+
+use std::path::Path;
+use std::process::ExitCode;
+
+use case::Case;
+use gpu::Gpu;
+
+/// What went wrong, in words.
+type Error = String;
+
+const NOT_PORTED: u8 = 77;
+
+fn answer(folder: &Path, out: &Path) -> Result<ExitCode, Error> {
+    let case = Case::read(folder)?;
+    let Some(stage) = stages::of(&case) else {
+        return Ok(ExitCode::from(NOT_PORTED));
+    };
+    stage(&Gpu::new()?, &case)?.write(out)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let done = match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        ["device"] => Gpu::new().map(|gpu| {
+            println!("{}", gpu.name);
+            ExitCode::SUCCESS
+        }),
+        [folder, out] => answer(Path::new(folder), Path::new(out)),
+        _ => Err("usage: garad-wgpu CASE OUT | garad-wgpu device".to_owned()),
+    };
+    done.unwrap_or_else(|error| {
+        eprintln!("garad-wgpu: {error}");
+        ExitCode::FAILURE
+    })
+}
