@@ -60,7 +60,7 @@ pub fn stage(gpu: &Gpu, case: &Case) -> Result<Answer, Error> {
         .map(|c| c.parse().map_err(|e| format!("iterations: {e}")))
         .collect::<Result<_, _>>()?;
 
-    let groups = [n.div_ceil(64), 1];
+    let groups = [n.div_ceil(256), 1];
     let norms = gpu.zeros(2 * n);
     gpu.run("field/row_sums", &[&settings, &nodes, &norms], groups);
     let log_odds = gpu.upload(&case.singles("log_odds")?);
@@ -87,7 +87,7 @@ pub fn stage(gpu: &Gpu, case: &Case) -> Result<Answer, Error> {
     if normalisation == 0 && n <= ENUMERATED {
         let [coupling, energies, best, weights, free] =
             [n * n, 1 << n, 2, (1 << n) * (n + 1), n].map(|words| gpu.zeros(words));
-        gpu.run_over("field/couple", &[&settings, &nodes, &coupling], n * n);
+        gpu.run_over("field/couple", &[&settings, &nodes, &coupling], n.div_ceil(4));
         let buffers = [&settings, &coupling, &log_odds, &energies];
         gpu.run_over("field/energy", &buffers, 1 << n);
         gpu.run("field/lowest", &[&settings, &energies, &best], [1, 1]);

@@ -36,6 +36,19 @@ fn answer(folder: &Path, out: &Path) -> Result<ExitCode, Error> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Milliseconds of the stage, from inputs in memory of the host to outputs there, `times` times on one device.
+fn time(folder: &Path, times: &str) -> Result<ExitCode, Error> {
+    let case = Case::read(folder)?;
+    let stage = stages::of(&case).ok_or("this stage is not ported")?;
+    let gpu = Gpu::new()?;
+    for _ in 0..times.parse().map_err(|e| format!("{times}: {e}"))? {
+        let start = std::time::Instant::now();
+        stage(&gpu, &case)?;
+        println!("{:.1} ms", start.elapsed().as_secs_f64() * 1e3);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let done = match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
@@ -43,6 +56,7 @@ fn main() -> ExitCode {
             println!("{}", gpu.name);
             ExitCode::SUCCESS
         }),
+        ["time", folder, times] => time(Path::new(folder), times),
         [folder, out] => answer(Path::new(folder), Path::new(out)),
         _ => Err("usage: garad-wgpu CASE OUT | garad-wgpu device".to_owned()),
     };

@@ -36,6 +36,18 @@ struct Splat {
 @group(0) @binding(4) var<storage, read> ranges: array<vec2<u32>>;       // of a tile
 @group(0) @binding(5) var<storage, read_write> image: array<vec4<f32>>;  // r g b T, depth contributors last 0
 
+// A thread has four pixels below each other; a number of the four is a vec4.
+fn corner_of(tile: vec3<u32>, thread: u32) -> vec2<u32> {
+    return 16u * tile.xy + vec2(thread % 16u, 4u * (thread / 16u));
+}
+
+// opacity e^power before it is clamped (R9, R10).
+fn density(centre: vec4<f32>, rest: vec4<f32>, x: f32, y: vec4<f32>) -> vec4<f32> {
+    let dy = y - centre.y;
+    let r = x - centre.x + centre.w * dy;
+    return rest.y * exp(-0.5 * (centre.z * r * r + rest.x * dy * dy));
+}
+
 // A number that all threads of a workgroup have put together, read by all of them alike.
 var<workgroup> agreed: atomic<u32>;
 var<workgroup> copy_of_agreed: u32;
@@ -53,22 +65,20 @@ var<workgroup> centres: array<vec4<f32>, 64>;
 var<workgroup> rests: array<vec4<f32>, 64>;
 var<workgroup> colors: array<vec4<f32>, 64>;
 
-@compute @workgroup_size(16, 16)
-fn forward(
-    @builtin(workgroup_id) tile: vec3<u32>,
-    @builtin(local_invocation_id) local: vec3<u32>,
-    @builtin(local_invocation_index) thread: u32,
-) {
-    let pixel = 16u * tile.xy + local.xy;
-    let at = vec2<f32>(pixel);
-    let inside = pixel.x < view.width && pixel.y < view.height;
+@compute @workgroup_size(64)
+fn forward(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+    let corner = corner_of(tile, thread);
+    let x = f32(corner.x);
+    let y = f32(corner.y) + vec4(0.0, 1.0, 2.0, 3.0);
     let range = ranges[tile.y * view.tiles_x + tile.x];
-    var color = vec3(0.0);
-    var depth = 0.0;
-    var left = 1.0;
-    var contributors = 0u;
-    var last = 0u;
-    var open = inside;
+    var r = vec4(0.0);
+    var g = vec4(0.0);
+    var b = vec4(0.0);
+    var depth = vec4(0.0);
+    var left = vec4(1.0);
+    var contributors = vec4(0u);
+    var last = vec4(0u);
+    var open = vec4(corner.x < view.width) & (vec4(corner.y) + vec4(0u, 1u, 2u, 3u) < vec4(view.height));
     for (var start = range.x; start < range.y; start += BATCH) {
         if thread == 0u {
             atomicStore(&agreed, 0u);
@@ -81,43 +91,43 @@ fn forward(
             colors[thread] = splats[i].color;
         }
         workgroupBarrier();
-        for (var k = 0u; open && k < size; k += 1u) {
-            let centre = centres[k];
+        for (var k = 0u; any(open) && k < size; k += 1u) {
             let rest = rests[k];
-            let d = at - centre.xy;
-            let along = d.x + centre.w * d.y;
-            let dense = rest.y * exp(-0.5 * (centre.z * along * along + rest.x * d.y * d.y));
-            let alpha = min(MAX_ALPHA, dense);
-            if alpha < MIN_ALPHA {
+            let alpha = min(vec4(MAX_ALPHA), density(centres[k], rest, x, y));
+            let thick = open & (alpha >= vec4(MIN_ALPHA));
+            if !any(thick) {
                 continue;
             }
             let behind = left * (1.0 - alpha);
-            if behind < MIN_TRANSMITTANCE {
-                open = false;
-                break;
-            }
-            let weight = alpha * left;
-            color += weight * colors[k].rgb;
+            open &= !(thick & (behind < vec4(MIN_TRANSMITTANCE)));
+            let drawn = thick & open;
+            let weight = select(vec4(0.0), alpha * left, drawn);
+            let color = colors[k];
+            r += weight * color.r;
+            g += weight * color.g;
+            b += weight * color.b;
             depth += weight * rest.z;
-            left = behind;
-            contributors += 1u;
-            last = start + k + 1u - range.x;
+            left = select(left, behind, drawn);
+            contributors += vec4<u32>(drawn);
+            last = select(last, vec4(start + k + 1u - range.x), drawn);
         }
-        if open {
+        if any(open) {
             atomicAdd(&agreed, 1u);
         }
         if agree(thread) == 0u {
             break;
         }
     }
-    if inside {
-        let p = 2u * (pixel.y * view.width + pixel.x);
-        image[p] = vec4(color + left * view.background.rgb, left);
-        image[p + 1u] = vec4(depth, f32(contributors), f32(last), 0.0);
+    for (var p = 0u; p < 4u; p += 1u) {
+        if corner.x < view.width && corner.y + p < view.height {
+            let i = 2u * ((corner.y + p) * view.width + corner.x);
+            image[i] = vec4(vec3(r[p], g[p], b[p]) + left[p] * view.background.rgb, left[p]);
+            image[i + 1u] = vec4(depth[p], f32(contributors[p]), f32(last[p]), 0.0);
+        }
     }
 }
 
-// Backward: 64 threads with four pixels each, six splats at a time. Each thread writes its sums of ten numbers per
+// Backward, six splats at a time. Each thread writes its sums of ten numbers per
 // splat to a column of `table`; then 60 threads add one row each, in order. The sums of a tile go to the slot of
 // the entry. No sum depends on which thread is first.
 
@@ -132,8 +142,7 @@ var<workgroup> table: array<f32, 3900>;
 @compute @workgroup_size(64)
 fn backward(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let range = ranges[tile.y * view.tiles_x + tile.x];
-    // Four pixels below each other: a number of each is a vec4.
-    let corner = 16u * tile.xy + vec2(thread % 16u, 4u * (thread / 16u));
+    let corner = corner_of(tile, thread);
     let x = f32(corner.x);
     let y = f32(corner.y) + vec4(0.0, 1.0, 2.0, 3.0);
     var left = vec4(1.0);
@@ -168,10 +177,9 @@ fn backward(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_in
         for (var k = 0u; k < size; k += 1u) {
             let place = end - 1u - k;
             let splat = splats[owners[entries[range.x + place]]];
-            let dx = x - splat.centre.x;
             let dy = y - splat.centre.y;
-            let r = dx + splat.centre.w * dy;
-            let dense = splat.rest.y * exp(-0.5 * (splat.centre.z * r * r + splat.rest.x * dy * dy));
+            let r = x - splat.centre.x + splat.centre.w * dy;
+            let dense = density(splat.centre, splat.rest, x, y);
             let alpha = min(vec4(MAX_ALPHA), dense);
             let drawn = (vec4(place) < last) & (alpha >= vec4(MIN_ALPHA));
             let through = select(vec4(1.0), 1.0 - alpha, drawn);

@@ -26,56 +26,93 @@ struct Node {
 @group(0) @binding(0) var<storage, read> field: Field;
 @group(0) @binding(1) var<storage, read> nodes: array<Node>;
 
-var<workgroup> tile: array<Node, 64>;
+// A thread has four rows, so that what is read of another node serves four pairs; a number of the four is a vec4.
+struct Rows {
+    i: vec4<u32>,
+    x: vec4<f32>,
+    y: vec4<f32>,
+    z: vec4<f32>,
+    has_pixel: vec4<f32>,
+    u: vec4<f32>,
+    v: vec4<f32>,
+    has_features: vec4<f32>,
+    reproj: vec4<f32>,
+    observations: vec4<f32>,
+}
 
-// k¹ and k² of a pair (eq. 5, 6).
-fn kernels(a: Node, b: Node) -> vec2<f32> {
-    let f = a.features.xy - b.features.xy;
-    let k1 = exp(-f.x * f.x * field.by_reproj - f.y * f.y * field.by_observations);
-    let p = a.p.xyz - b.p.xyz;
-    let d = a.uv.xy - b.uv.xy;
-    let both_px = a.p.w * b.p.w;
-    var metres = dot(p, p) * f32(field.space);
-    var pixels = dot(d, d) * both_px * f32(field.pixel);
+// Rows beyond the last node repeat it, and are not written.
+fn rows_from(first: u32) -> Rows {
+    var rows: Rows;
+    for (var k = 0u; k < 4u; k += 1u) {
+        let node = nodes[min(first + k, field.nodes - 1u)];
+        rows.i[k] = first + k;
+        rows.x[k] = node.p.x;
+        rows.y[k] = node.p.y;
+        rows.z[k] = node.p.z;
+        rows.has_pixel[k] = node.p.w;
+        rows.u[k] = node.uv.x;
+        rows.v[k] = node.uv.y;
+        rows.has_features[k] = node.uv.z;
+        rows.reproj[k] = node.features.x;
+        rows.observations[k] = node.features.y;
+    }
+    return rows;
+}
+
+// k¹ and k² of each row with node j (eq. 5, 6), as columns.
+fn kernels(a: Rows, b: Node, j: u32) -> mat2x4<f32> {
+    let by_reproj = a.reproj - b.features.x;
+    let by_count = a.observations - b.features.y;
+    let k1 = exp(-by_reproj * by_reproj * field.by_reproj - by_count * by_count * field.by_observations);
+    let x = a.x - b.p.x;
+    let y = a.y - b.p.y;
+    let z = a.z - b.p.z;
+    let u = a.u - b.uv.x;
+    let v = a.v - b.uv.y;
+    let both_px = a.has_pixel * b.p.w;
+    var metres = (x * x + y * y + z * z) * f32(field.space);
+    var pixels = (u * u + v * v) * both_px * f32(field.pixel);
     if field.linear != 0u {
         metres = sqrt(metres);
         pixels = sqrt(pixels);
     }
     let k2 = exp(-metres * field.by_m - pixels * field.by_px);
+    let wanted = vec4<f32>((a.i != vec4(j)) | vec4(field.self_message != 0u));
     // Without a pixel only metres can tell.
-    let known = select(both_px, 1.0, field.space != 0u);
-    return vec2(k1 * a.uv.z * b.uv.z, k2 * known);
+    let known = select(both_px, vec4(1.0), field.space != 0u);
+    return mat2x4(wanted * k1 * a.has_features * b.uv.z, wanted * k2 * known);
 }
+
+var<workgroup> tile: array<Node, 64>;
 
 // Normalisations, by row: 1/r (rows), 1/√r (symmetric) of each kernel.
 @group(0) @binding(2) var<storage, read_write> norms: array<vec2<f32>>;
 
 @compute @workgroup_size(64)
 fn row_sums(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
-    let i = min(id.x, field.nodes - 1u);
-    let own = nodes[i];
-    var total = vec2(0.0);
+    let own = rows_from(4u * id.x);
+    var total = mat2x4<f32>();
     for (var start = 0u; start < field.nodes; start += 64u) {
         tile[thread] = nodes[min(start + thread, field.nodes - 1u)];
         workgroupBarrier();
         let size = min(64u, field.nodes - start);
-        var part = vec2(0.0);
+        var part = mat2x4<f32>();
         for (var k = 0u; k < size; k += 1u) {
-            let wanted = field.self_message != 0u || start + k != i;
-            part += select(vec2(0.0), kernels(own, tile[k]), wanted);
+            part += kernels(own, tile[k], start + k);
         }
         total += part;
         workgroupBarrier();
     }
-    if id.x < field.nodes {
+    for (var k = 0u; k < 4u && own.i[k] < field.nodes; k += 1u) {
+        let sums = vec2(total[0][k], total[1][k]);
         var norm = vec2(1.0);
         if field.normalisation != 0u {
-            norm = select(vec2(0.0), 1.0 / total, total > vec2(0.0));
+            norm = select(vec2(0.0), 1.0 / sums, sums > vec2(0.0));
         }
         if field.normalisation == 2u {
             norm = sqrt(norm);
         }
-        norms[i] = norm;
+        norms[own.i[k]] = norm;
     }
 }
 
@@ -89,9 +126,8 @@ var<workgroup> messages: array<vec2<f32>, 64>;
 
 @compute @workgroup_size(64)
 fn update(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
-    let i = min(id.x, field.nodes - 1u);
-    let own = nodes[i];
-    var total = vec2(0.0);
+    let own = rows_from(4u * id.x);
+    var total = mat2x4<f32>();
     for (var start = 0u; start < field.nodes; start += 64u) {
         let j = min(start + thread, field.nodes - 1u);
         tile[thread] = nodes[j];
@@ -99,16 +135,19 @@ fn update(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocatio
         messages[thread] = (2.0 * old[j] - 1.0) * theirs;
         workgroupBarrier();
         let size = min(64u, field.nodes - start);
-        var part = vec2(0.0);
+        var part = mat2x4<f32>();
         for (var k = 0u; k < size; k += 1u) {
-            let wanted = field.self_message != 0u || start + k != i;
-            part += select(vec2(0.0), kernels(own, tile[k]) * messages[k], wanted);
+            let pair = kernels(own, tile[k], start + k);
+            let message = messages[k];
+            part += mat2x4(pair[0] * message.x, pair[1] * message.y);
         }
         total += part;
         workgroupBarrier();
     }
-    if id.x < field.nodes {
-        let message = dot(vec2(field.feature_weight, field.position_weight), row_norms[i] * total);
+    for (var k = 0u; k < 4u && own.i[k] < field.nodes; k += 1u) {
+        let i = own.i[k];
+        let weights = vec2(field.feature_weight, field.position_weight) * row_norms[i];
+        let message = dot(weights, vec2(total[0][k], total[1][k]));
         new_q[i] = mix(sigmoid(log_odds[i] + message), old[i], field.damping);
     }
 }
@@ -129,10 +168,12 @@ fn begin(@builtin(global_invocation_id) id: vec3<u32>) {
 
 @compute @workgroup_size(256)
 fn couple(@builtin(global_invocation_id) id: vec3<u32>) {
-    let n = field.nodes;
-    if id.x < n * n {
-        let k = kernels(nodes[id.x / n], nodes[id.x % n]);
-        couplings[id.x] = dot(vec2(field.feature_weight, field.position_weight), k);
+    let own = rows_from(4u * id.x);
+    for (var j = 0u; j < field.nodes; j += 1u) {
+        let pair = kernels(own, nodes[j], j);
+        for (var k = 0u; k < 4u && own.i[k] < field.nodes; k += 1u) {
+            couplings[own.i[k] * field.nodes + j] = field.feature_weight * pair[0][k] + field.position_weight * pair[1][k];
+        }
     }
 }
 
