@@ -87,7 +87,11 @@ pub fn stage(gpu: &Gpu, case: &Case) -> Result<Answer, Error> {
     if normalisation == 0 && n <= ENUMERATED {
         let [coupling, energies, best, weights, free] =
             [n * n, 1 << n, 2, (1 << n) * (n + 1), n].map(|words| gpu.zeros(words));
-        gpu.run_over("field/couple", &[&settings, &nodes, &coupling], n.div_ceil(4));
+        gpu.run_over(
+            "field/couple",
+            &[&settings, &nodes, &coupling],
+            n.div_ceil(4),
+        );
         let buffers = [&settings, &coupling, &log_odds, &energies];
         gpu.run_over("field/energy", &buffers, 1 << n);
         gpu.run("field/lowest", &[&settings, &energies, &best], [1, 1]);

@@ -132,34 +132,101 @@ fn observation(gpu: &Gpu, case: &Case, map: &Map, suffix: &str) -> Result<Observ
     })
 }
 
+/// A map in training.
+struct Training {
+    trained: Trained,
+    weights: Weights,
+    adam: Adam,
+}
+
+impl Training {
+    fn of_case(gpu: &Gpu, case: &Case) -> Result<Self, Error> {
+        let map = Map::of_case(case)?;
+        Ok(Self {
+            weights: Weights {
+                photometric: case.single("lambda_photometric")?,
+                ssim: case.single("lambda_ssim")?,
+                depth: case.single("lambda_depth")?,
+                dynamic: case.single("lambda_dynamic")?,
+                min_opacity: case.single("min_opacity")?,
+            },
+            adam: Adam::of_case(gpu, case, map.rows.len(), &rates(case, &map)?)?,
+            trained: Trained {
+                rows: gpu.upload(&map.rows),
+                dynamic: gpu.upload(&case.flags("dynamic")?),
+                map,
+            },
+        })
+    }
+
+    /// Loss and gradient before the step.
+    fn step(&mut self, gpu: &Gpu, seen: &Observation) -> Result<(f32, Buffer), Error> {
+        let found = loss(gpu, &self.trained, seen, &self.weights)?;
+        let value = found.value(gpu, &self.trained, seen, &self.weights)?;
+        self.adam.step(gpu, &found.gradient, &self.trained.rows);
+        Ok((value, found.gradient))
+    }
+}
+
 pub fn stage(gpu: &Gpu, case: &Case) -> Result<Answer, Error> {
-    let map = Map::of_case(case)?;
-    let weights = Weights {
-        photometric: case.single("lambda_photometric")?,
-        ssim: case.single("lambda_ssim")?,
-        depth: case.single("lambda_depth")?,
-        dynamic: case.single("lambda_dynamic")?,
-        min_opacity: case.single("min_opacity")?,
-    };
-    let mut adam = Adam::of_case(gpu, case, map.rows.len(), &rates(case, &map)?)?;
-    let trained = Trained {
-        rows: gpu.upload(&map.rows),
-        dynamic: gpu.upload(&case.flags("dynamic")?),
-        map,
-    };
-    let map = &trained.map;
+    let mut training = Training::of_case(gpu, case)?;
     let mut out = Answer::default();
     for step in 0..case.whole("iterations")? {
         let suffix = format!("_{step}");
-        let seen = observation(gpu, case, map, &suffix)?;
-        let found = loss(gpu, &trained, &seen, &weights)?;
-        let value = found.value(gpu, &trained, &seen, &weights)?;
+        let seen = observation(gpu, case, &training.trained.map, &suffix)?;
+        let (value, gradient) = training.step(gpu, &seen)?;
+        let Trained { map, rows, .. } = &training.trained;
         out.put(format!("loss{suffix}"), &[1], vec![value]);
-        let gradient = gpu.read::<f32>(&found.gradient, map.rows.len())?;
+        let gradient = gpu.read::<f32>(&gradient, map.rows.len())?;
         stages::put_map(&mut out, map, &gradient, "d_", &suffix);
-        adam.step(gpu, &found.gradient, &trained.rows);
-        let rows = gpu.read::<f32>(&trained.rows, map.rows.len())?;
+        let rows = gpu.read::<f32>(rows, map.rows.len())?;
         stages::put_map(&mut out, map, &rows, "", &suffix);
     }
     Ok(out)
+}
+
+/// The training of a case of the stage `train_step` with a parameter `views`, V: iteration i looks at view i mod V. Answers
+/// the map in the end, the loss of each iteration, and the PSNR of each view in dB.
+pub fn run(gpu: &Gpu, case: &Case) -> Result<Answer, Error> {
+    let mut training = Training::of_case(gpu, case)?;
+    let views = (0..case.whole("views")?)
+        .map(|view| observation(gpu, case, &training.trained.map, &format!("_{view}")))
+        .collect::<Result<Vec<_>, _>>()?;
+    let mut losses = Vec::new();
+    for step in 0..case.whole("iterations")? as usize {
+        losses.push(training.step(gpu, &views[step % views.len()])?.0);
+    }
+    let mut out = Answer::default();
+    let trained = &training.trained;
+    let rows = gpu.read::<f32>(&trained.rows, trained.map.rows.len())?;
+    stages::put_map(&mut out, &trained.map, &rows, "", "");
+    out.put("loss", &[losses.len()], losses);
+    let psnr = views
+        .iter()
+        .map(|seen| psnr(gpu, trained, seen))
+        .collect::<Result<Vec<_>, _>>()?;
+    out.put("psnr", &[psnr.len()], psnr);
+    Ok(out)
+}
+
+/// -10 log10 of the mean square over the pixels that count, rendered channels kept within [0, 1].
+fn psnr(gpu: &Gpu, trained: &Trained, seen: &Observation) -> Result<f32, Error> {
+    let n = trained.map.gaussians;
+    let splats = render::project(gpu, &seen.view, &trained.rows, &trained.dynamic, n);
+    let rendered = render::blend(gpu, &seen.view, &splats)?;
+    let pixels = seen.view.pixels();
+    let image = gpu.read::<f32>(&rendered.image, 8 * pixels)?;
+    let target = gpu.read::<f32>(&seen.target, 3 * pixels)?;
+    let mask = gpu.read::<f32>(&seen.frame.mask, pixels)?;
+    let [mut total, mut count] = [0.0_f64; 2];
+    for i in (0..pixels).filter(|&i| mask[i] > 0.0) {
+        for c in 0..3 {
+            let error = f64::from(image[8 * i + c].clamp(0.0, 1.0) - target[3 * i + c]);
+            total += error * error;
+            count += 1.0;
+        }
+    }
+    #[allow(clippy::disallowed_methods, reason = "a figure to be printed")]
+    let decibels = -10.0 * (total / count).log10();
+    Ok(decibels as f32)
 }
