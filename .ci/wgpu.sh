@@ -1,0 +1,44 @@
+#!/usr/bin/env bash
+# The port to a GPU, ports/wgpu: lints, build, and the golden cases of its stages on the Vulkan device there is, or on
+# Mesa's renderer for the CPU. Skipped, with a message, where there is no Vulkan driver and none can be installed.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+port=ports/wgpu
+garad=target/release/garad
+out=$port/target/ci-answers
+export CARGO_TERM_COLOR=never
+
+has_vulkan() {
+    ldconfig -p | grep -q 'libvulkan\.so\.1' &&
+        { [ -n "${VK_DRIVER_FILES:-}${VK_ICD_FILENAMES:-}" ] || ls /usr/share/vulkan/icd.d/*.json /etc/vulkan/icd.d/*.json 2>/dev/null | grep -q .; }
+}
+if ! has_vulkan; then
+    [ "$(id -u)" = 0 ] && root=() || root=(sudo -n)
+    { "${root[@]}" apt-get update && "${root[@]}" apt-get install -y --no-install-recommends mesa-vulkan-drivers; } >/dev/null 2>&1 || true
+fi
+if ! has_vulkan; then
+    echo "skipped: no Vulkan driver, and apt-get cannot install mesa-vulkan-drivers; the port was neither built nor judged"
+    exit 0
+fi
+
+[ -x "$garad" ] || cargo build --release
+export CARGO_TARGET_DIR=$port/target
+cargo clippy --manifest-path "$port/Cargo.toml" -- -D warnings
+cargo build --release --manifest-path "$port/Cargo.toml"
+program=$CARGO_TARGET_DIR/release/garad-wgpu
+echo "device: $("$program" device)"
+
+# Of these stages every case must pass: none may be unsupported.
+stages=(sh projection_covariance raster raster_backward losses adam train_step mean_field)
+"$garad" golden check --exec "$program {case} {out}" "${stages[@]/#/--stage=}" | tee "$CARGO_TARGET_DIR/ci.txt"
+if grep -q unsupported "$CARGO_TARGET_DIR/ci.txt"; then
+    echo "a stage of the port says that it is not ported"
+    exit 1
+fi
+
+# The same bits on every run.
+for run in one two; do
+    "$program" tests/golden/train_step/two_views "$out/$run"
+done
+diff -r "$out/one" "$out/two"
