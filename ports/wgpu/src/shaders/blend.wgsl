@@ -135,9 +135,17 @@ fn forward(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_ind
 @group(0) @binding(6) var<storage, read> upstream: array<f32>;           // by r g b, depth, opacity
 @group(0) @binding(7) var<storage, read_write> slots: array<f32>;        // ten numbers per entry
 
-const GROUP = 6u;
+struct Near {
+    centre: vec4<f32>,
+    rest: vec4<f32>,
+    color: vec4<f32>,
+    entry: u32,
+}
+
+const GROUP = 6u;   // 60 rows of the table keep 60 of 64 threads at work, and fit into 16 KiB
 const ROW = 65u;    // 64 columns and one more, so that a row does not share its memory banks with the next
 var<workgroup> table: array<f32, 3900>;
+var<workgroup> near: array<Near, 6>;
 
 @compute @workgroup_size(64)
 fn backward(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
@@ -174,18 +182,26 @@ fn backward(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_in
     var end = agree(thread);
     while end > 0u {
         let size = min(GROUP, end);
+        if thread < size {
+            let entry = entries[range.x + end - 1u - thread];
+            let i = owners[entry];
+            near[thread] = Near(splats[i].centre, splats[i].rest, vec4(splats[i].color.rgb, 0.0), entry);
+        }
+        workgroupBarrier();
         for (var k = 0u; k < size; k += 1u) {
             let place = end - 1u - k;
-            let splat = splats[owners[entries[range.x + place]]];
-            let dy = y - splat.centre.y;
-            let r = x - splat.centre.x + splat.centre.w * dy;
-            let dense = density(splat.centre, splat.rest, x, y);
+            let centre = near[k].centre;
+            let rest = near[k].rest;
+            let color = near[k].color;
+            let dy = y - centre.y;
+            let r = x - centre.x + centre.w * dy;
+            let dense = density(centre, rest, x, y);
             let alpha = min(vec4(MAX_ALPHA), dense);
             let drawn = (vec4(place) < last) & (alpha >= vec4(MIN_ALPHA));
             let through = select(vec4(1.0), 1.0 - alpha, drawn);
             left /= through;
             let weight = select(vec4(0.0), alpha * left, drawn);
-            let gain = by_r * splat.color.r + by_g * splat.color.g + by_b * splat.color.b + by_depth * splat.rest.z;
+            let gain = by_r * color.r + by_g * color.g + by_b * color.b + by_depth * rest.z;
             let free = drawn & ((dense <= vec4(MAX_ALPHA)) | vec4(view.pass_through != 0u));
             let g = select(vec4(0.0), dense * left * (gain - light), free);
             light = select(light, alpha * gain + through * light, drawn);
@@ -208,8 +224,7 @@ fn backward(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_in
             for (var t = 0u; t < 64u; t += 1u) {
                 total += table[thread * ROW + t];
             }
-            let entry = entries[range.x + end - 1u - thread / 10u];
-            slots[10u * entry + thread % 10u] = total;
+            slots[10u * near[thread / 10u].entry + thread % 10u] = total;
         }
         workgroupBarrier();
         end -= size;
