@@ -9,6 +9,9 @@ use crate::Error;
 
 pub use wgpu::Buffer;
 
+/// Threads of a dispatch: 65535 workgroups of 256.
+pub const MOST_THREADS: u64 = 65535 * 256;
+
 /// Files of kernels, each compiled with `common.wgsl` in front of it.
 macro_rules! shaders {
     ($($name:literal),*) => {

@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::case::Case;
-use crate::gpu::{Buffer, Gpu};
+use crate::gpu::{self, Buffer, Gpu};
 use crate::sums;
 
 /// Numbers of a Gaussian in front of its harmonics: mean, log-scales, quaternion, opacity logit.
@@ -260,9 +260,10 @@ pub fn blend(gpu: &Gpu, view: &View, splats: &Splats) -> Result<Rendered, Error>
         _ => gpu.read::<u32>(&sums::exclusive(gpu, &first, n), 1)?[0] as usize,
     };
     // Ten numbers per entry in the backward pass.
-    if 40 * entry_count as u64 > gpu.largest_binding {
+    let most = (gpu.largest_binding / 40).min(gpu::MOST_THREADS);
+    if entry_count as u64 > most {
         return Err(format!(
-            "{entry_count} pairs of tile and splat are more than a buffer of {} can hold",
+            "{entry_count} pairs of tile and splat are more than {most}, which {} can do",
             gpu.name
         ));
     }
