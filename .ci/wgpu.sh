@@ -9,9 +9,10 @@ garad=target/release/garad
 out=$port/target/ci-answers
 export CARGO_TERM_COLOR=never
 
+# `grep -q` would end before ldconfig does, which `pipefail` takes for a failure.
 has_vulkan() {
-    ldconfig -p | grep -q 'libvulkan\.so\.1' &&
-        { [ -n "${VK_DRIVER_FILES:-}${VK_ICD_FILENAMES:-}" ] || ls /usr/share/vulkan/icd.d/*.json /etc/vulkan/icd.d/*.json 2>/dev/null | grep -q .; }
+    ldconfig -p | grep 'libvulkan\.so\.1' >/dev/null &&
+        { [ -n "${VK_DRIVER_FILES:-}${VK_ICD_FILENAMES:-}" ] || compgen -G '/usr/share/vulkan/icd.d/*.json' || compgen -G '/etc/vulkan/icd.d/*.json'; } >/dev/null
 }
 if ! has_vulkan; then
     [ "$(id -u)" = 0 ] && root=() || root=(sudo -n)
