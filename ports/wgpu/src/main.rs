@@ -67,7 +67,8 @@ fn list(path: &Path) -> Result<ExitCode, Error> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Milliseconds of the stage, from inputs in memory of the host to outputs there, `times` times on one device.
+/// Milliseconds of the stage, from the files of the case to outputs in the memory of the host, `times` times on one device;
+/// the first has the compilation of the kernels in it.
 fn time(folder: &Path, times: &str) -> Result<ExitCode, Error> {
     let case = Case::read(folder)?;
     let stage = stages::of(&case).ok_or("this stage is not ported")?;

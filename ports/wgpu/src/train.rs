@@ -1,5 +1,5 @@
-//! Whole training iterations: render, losses, backward, Adam. Nothing is read back in between but the number
-//! of pairs to sort.
+//! Whole training iterations: render, losses, backward, Adam. Between them nothing is read back but the number
+//! of pairs to sort and the loss.
 
 use crate::Error;
 use crate::adam::Adam;

@@ -1,12 +1,5 @@
 // Between projection and blending: a list of splats for each tile, front to back.
 
-struct Splat {
-    centre: vec4<f32>,
-    rest: vec4<f32>,
-    color: vec4<f32>,
-    cells: vec4<u32>,
-}
-
 struct Sizes {
     gaussians: u32,
     tiles_x: u32,

@@ -6,29 +6,6 @@ const MIN_ALPHA = 1.0 / 255.0;
 const MAX_ALPHA = 0.99;
 const MIN_TRANSMITTANCE = 1e-4;
 
-struct View {
-    w0: vec4<f32>,
-    w1: vec4<f32>,
-    w2: vec4<f32>,
-    intrinsics: vec4<f32>,
-    background: vec4<f32>,
-    width: u32,
-    height: u32,
-    tiles_x: u32,
-    tiles_y: u32,
-    gaussians: u32,
-    coefficients: u32,
-    pass_through: u32,
-    unused: u32,
-}
-
-struct Splat {
-    centre: vec4<f32>,      // u, v, A, B/A
-    rest: vec4<f32>,        // 1/Σ'yy, opacity, z, C
-    color: vec4<f32>,
-    cells: vec4<u32>,
-}
-
 @group(0) @binding(0) var<storage, read> view: View;
 @group(0) @binding(1) var<storage, read> splats: array<Splat>;
 @group(0) @binding(2) var<storage, read> entries: array<u32>;            // sorted by tile, then front to back

@@ -7,29 +7,6 @@ const NEAR_M = 0.2;
 const BLUR_PX2 = 0.3;
 const CLAMP = 1.3;
 
-struct View {
-    w0: vec4<f32>,          // rows of camera_from_world: rotation, translation
-    w1: vec4<f32>,
-    w2: vec4<f32>,
-    intrinsics: vec4<f32>,  // fx fy cx cy
-    background: vec4<f32>,
-    width: u32,
-    height: u32,
-    tiles_x: u32,
-    tiles_y: u32,
-    gaussians: u32,
-    coefficients: u32,
-    pass_through: u32,
-    unused: u32,
-}
-
-struct Splat {
-    centre: vec4<f32>,      // u, v, A, B/A
-    rest: vec4<f32>,        // 1/Σ'yy, opacity, z, C
-    color: vec4<f32>,       // r, g, b, B
-    cells: vec4<u32>,       // x0 y0 x1 y1 in cells of 16 px, ends excluded; empty: invisible
-}
-
 @group(0) @binding(0) var<storage, read> view: View;
 @group(0) @binding(1) var<storage, read> map: array<f32>;
 @group(0) @binding(2) var<storage, read> hidden: array<u32>;            // 1: not drawn
