@@ -2,6 +2,7 @@
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use wgpu::util::DeviceExt;
 
@@ -29,6 +30,15 @@ const SHADERS: [(&str, &str); 9] = shaders!(
     "sort",
     "sum"
 );
+
+/// The same from a folder, for kernels that are being changed.
+fn shader_of(folder: &Path, name: &str) -> String {
+    let read = |name: &str| {
+        let path = folder.join(format!("{name}.wgsl"));
+        std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+    };
+    read("common") + &read(name)
+}
 
 /// A device with its queue and the kernels compiled so far.
 pub struct Gpu {
@@ -131,12 +141,16 @@ impl Gpu {
             .iter()
             .find(|(name, _)| *name == file)
             .expect("every file of kernels is in SHADERS");
+        let source = match std::env::var("GARAD_WGPU_SHADERS") {
+            Ok(folder) => shader_of(Path::new(&folder), file),
+            Err(_) => (*source).to_owned(),
+        };
         let mut modules = self.modules.borrow_mut();
         let module = modules.entry(file).or_insert_with(|| {
             self.device
                 .create_shader_module(wgpu::ShaderModuleDescriptor {
                     label: Some(file),
-                    source: wgpu::ShaderSource::Wgsl((*source).into()),
+                    source: wgpu::ShaderSource::Wgsl(source.into()),
                 })
         });
         let pipeline = self
