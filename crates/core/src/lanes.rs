@@ -382,6 +382,11 @@ mod tests {
         assert_eq!((first, double.len()), (None, double_on_avx2.len()), "f64");
     }
 
+    /// -0.0 is not 0.0.
+    fn bits<const N: usize>(lanes: [f32; N]) -> [u32; N] {
+        lanes.map(f32::to_bits)
+    }
+
     /// By hand, lane by lane.
     struct ByHand;
 
@@ -393,13 +398,13 @@ mod tests {
             let a = lanes.load([1.0, -2.0, 3.0, f32::NAN, 5.0, -6.0, 7.0, -0.0]);
             let b = lanes.splat(4.0);
             assert_eq!(
-                a.min(b).to_array(),
-                [1.0, -2.0, 3.0, 4.0, 4.0, -6.0, 4.0, -0.0],
+                bits(a.min(b).to_array()),
+                bits([1.0, -2.0, 3.0, 4.0, 4.0, -6.0, 4.0, -0.0]),
                 "min"
             );
             assert_eq!(
-                a.max(b).to_array(),
-                [4.0, 4.0, 4.0, 4.0, 5.0, 4.0, 7.0, 4.0],
+                bits(a.max(b).to_array()),
+                bits([4.0, 4.0, 4.0, 4.0, 5.0, 4.0, 7.0, 4.0]),
                 "max"
             );
             assert!(
@@ -420,8 +425,8 @@ mod tests {
             );
             let chosen = a.ge(b).select(lanes.splat(1.0), lanes.splat(2.0));
             assert_eq!(
-                chosen.to_array(),
-                [2.0, 2.0, 2.0, 2.0, 1.0, 2.0, 1.0, 2.0],
+                bits(chosen.to_array()),
+                bits([2.0, 2.0, 2.0, 2.0, 1.0, 2.0, 1.0, 2.0]),
                 "select"
             );
             let [low, high] = a.halves();
@@ -432,11 +437,12 @@ mod tests {
             );
             // 1.5 · 2²³ + n has n in its lowest bits.
             let n = lanes.load([12_582_912.0 - 3.0; 8]);
-            assert_eq!(b.times_two_to(n).to_array(), [0.5; 8], "4 / 8");
+            assert_eq!(bits(b.times_two_to(n).to_array()), bits([0.5; 8]), "4 / 8");
             let n = lanes.splat_f64(6_755_399_441_055_744.0 + 5.0);
+            let product = lanes.splat_f64(1.5).times_two_to(n).to_array();
             assert_eq!(
-                lanes.splat_f64(1.5).times_two_to(n).to_array(),
-                [48.0; 4],
+                product.map(f64::to_bits),
+                [48.0f64.to_bits(); 4],
                 "1.5 · 32"
             );
         }
