@@ -356,8 +356,8 @@ fn a_batch_says_how_each_case_ended() {
     );
     let (code, text) = run(&rest("*needles) echo 5 no memory >\"$out/status\""), &[]);
     assert!(code == 1 && text.contains("status 5: no memory"), "{text}");
-    assert!(text.contains("1 CRASH, 3 pass"), "the others pass: {text}");
-    // Cases are in the order cuts, needles, one, sh3_80: two are not reached.
+    assert!(text.contains("1 CRASH, 6 pass"), "the others pass: {text}");
+    // Cases are in the order cuts, gsplat_sh0, sh2, sh3, needles, one, sh3_80: two are not reached.
     let (code, text) = run(&rest("*needles) echo out of luck; kill -9 $$"), &[]);
     assert!(code == 1 && text.contains("out of luck"), "{text}");
     let crash = text

@@ -95,7 +95,7 @@ fn passes(port: &str, dtype: &str) {
         .output();
     let output = output.expect("the program starts");
     let said = String::from_utf8_lossy(&output.stdout);
-    let words = ["1 pass", &format!("({dtype})"), "unsupported: decode"];
+    let words = ["2 pass", &format!("({dtype})"), "unsupported: decode"];
     let named = words.iter().all(|word| said.contains(word));
     assert!(output.status.success() && named, "{port}: {said}");
 }

@@ -170,6 +170,7 @@ impl std::ops::Mul for Se3 {
 
 impl std::ops::Mul<Vector3<f64>> for Se3 {
     type Output = Vector3<f64>;
+    #[inline]
     fn mul(self, point: Vector3<f64>) -> Vector3<f64> {
         self.rotation * point + self.translation
     }

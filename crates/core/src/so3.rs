@@ -201,6 +201,7 @@ impl So3 {
     }
 
     /// The rotation matrix.
+    #[inline]
     #[must_use]
     #[rustfmt::skip]
     pub fn matrix(&self) -> Matrix3<f64> {
@@ -295,6 +296,7 @@ impl std::ops::Mul for So3 {
 
 impl std::ops::Mul<Vector3<f64>> for So3 {
     type Output = Vector3<f64>;
+    #[inline]
     fn mul(self, v: Vector3<f64>) -> Vector3<f64> {
         self.matrix() * v
     }

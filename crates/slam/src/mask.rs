@@ -33,18 +33,42 @@ pub(crate) fn is_moving_at(mask: &MaskImage, px: &Vector2<f64>) -> bool {
     nearest_pixel(px, mask.size()).is_some_and(|at| mask[at] == MOVING)
 }
 
-/// [`moving_near`] of every pixel as a mask of 255 and 0: first along rows, then along columns.
+/// [`moving_near`] of every pixel as a mask of 255 and 0, by two running counts: of the moving pixels of a column within
+/// `radius` rows, and of the columns within `radius` that have any.
 #[must_use]
 pub fn dilated(mask: &MaskImage, radius: usize) -> MaskImage {
     let (width, height) = mask.size();
-    let rows = MaskImage::from_fn(width, height, |x, y| {
-        let any = mask.row(y)[around(x, width, radius)].contains(&MOVING);
-        if any { MOVING } else { 0 }
-    });
-    MaskImage::from_fn(width, height, |x, y| {
-        let any = around(y, height, radius).any(|y| rows[(x, y)] == MOVING);
-        if any { MOVING } else { 0 }
-    })
+    let mut out = MaskImage::new(width, height, 0);
+    let mut moving = vec![0u32; width];
+    let row = |y: usize| mask.row(y).iter().map(|&m| u32::from(m == MOVING));
+    for entering in 0..height + radius {
+        if entering < height {
+            moving
+                .iter_mut()
+                .zip(row(entering))
+                .for_each(|(n, m)| *n += m);
+        }
+        if let Some(leaving) = entering.checked_sub(2 * radius + 1) {
+            moving
+                .iter_mut()
+                .zip(row(leaving))
+                .for_each(|(n, m)| *n -= m);
+        }
+        let Some(y) = entering.checked_sub(radius) else {
+            continue;
+        };
+        let mut columns = 0;
+        for entering in 0..width + radius {
+            columns += u32::from(entering < width && moving[entering] > 0);
+            if let Some(leaving) = entering.checked_sub(2 * radius + 1) {
+                columns -= u32::from(moving[leaving] > 0);
+            }
+            if entering >= radius && columns > 0 {
+                out[(entering - radius, y)] = MOVING;
+            }
+        }
+    }
+    out
 }
 
 /// Halves a mask: not 0 if any of the pixels under the 5-tap filter of a halved image is.

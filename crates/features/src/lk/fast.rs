@@ -12,6 +12,8 @@
 //! |derivative| ≤ 4081, and 63 · 8161 · 4081 < 2³¹. Groups of rows are summed in 64 bits.
 //! Integer sums have no order, so the numbers are those of [`super::reference`].
 
+use garad_core::lanes::{Kernel, Lanes, dispatch};
+
 use super::pyramid::LkLevel;
 use super::{DERIVATIVE_SHIFT, INTENSITY_SHIFT, Place, WINDOW, Windows};
 
@@ -55,26 +57,19 @@ impl Windows for Fast {
     type Template = Template;
 
     fn template(level: &LkLevel, place: &Place, template: &mut Template) -> [i64; 3] {
-        let weights = PairWeights::new(place.weights);
-        let Template { intensity, dx, dy } = template;
-        sample_image(level, place, &weights, intensity);
-        let (dx_pairs, dy_pairs) = derivatives(level, place);
-        for (pairs, out) in [(&dx_pairs, &mut *dx), (&dy_pairs, &mut *dy)] {
-            sample::<DERIVATIVE_SHIFT>(&weights, |y| &pairs[y], out);
-            silence_extra_columns(out);
-        }
-        [dot(dx, dx), dot(dx, dy), dot(dy, dy)]
+        dispatch(FillTemplate {
+            level,
+            place,
+            template,
+        })
     }
 
     fn mismatch(template: &Template, level: &LkLevel, place: &Place) -> [i64; 2] {
-        let weights = PairWeights::new(place.weights);
-        let mut diff = NO_SAMPLES;
-        sample_image(level, place, &weights, &mut diff);
-        let before = template.intensity.as_flattened();
-        for (now, before) in diff.as_flattened_mut().iter_mut().zip(before) {
-            *now -= before;
-        }
-        [dot(&diff, &template.dx), dot(&diff, &template.dy)]
+        dispatch(Mismatch {
+            template,
+            level,
+            place,
+        })
     }
 
     fn absolute_difference(template: &Template, level: &LkLevel, place: &Place) -> i64 {
@@ -88,6 +83,63 @@ impl Windows for Fast {
     }
 }
 
+/// [`Windows::template`].
+struct FillTemplate<'a> {
+    level: &'a LkLevel,
+    place: &'a Place,
+    template: &'a mut Template,
+}
+
+impl Kernel for FillTemplate<'_> {
+    type Output = [i64; 3];
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) -> [i64; 3] {
+        let Self {
+            level,
+            place,
+            template,
+        } = self;
+        let weights = PairWeights::new(place.weights);
+        let Template { intensity, dx, dy } = template;
+        sample_image(level, place, &weights, intensity);
+        let (dx_pairs, dy_pairs) = derivatives(level, place);
+        for (pairs, out) in [(&dx_pairs, &mut *dx), (&dy_pairs, &mut *dy)] {
+            sample::<DERIVATIVE_SHIFT>(&weights, |y| &pairs[y], out);
+            silence_extra_columns(out);
+        }
+        [dot(dx, dx), dot(dx, dy), dot(dy, dy)]
+    }
+}
+
+/// [`Windows::mismatch`].
+struct Mismatch<'a> {
+    template: &'a Template,
+    level: &'a LkLevel,
+    place: &'a Place,
+}
+
+impl Kernel for Mismatch<'_> {
+    type Output = [i64; 2];
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) -> [i64; 2] {
+        let Self {
+            template,
+            level,
+            place,
+        } = self;
+        let weights = PairWeights::new(place.weights);
+        let mut diff = NO_SAMPLES;
+        sample_image(level, place, &weights, &mut diff);
+        let before = template.intensity.as_flattened();
+        for (now, before) in diff.as_flattened_mut().iter_mut().zip(before) {
+            *now -= before;
+        }
+        [dot(&diff, &template.dx), dot(&diff, &template.dy)]
+    }
+}
+
 /// (w00, w01) and (w10, w11), each repeated along a row.
 struct PairWeights {
     upper: PairRow,
@@ -95,6 +147,7 @@ struct PairWeights {
 }
 
 impl PairWeights {
+    #[inline(always)]
     fn new([w00, w01, w10, w11]: [i16; 4]) -> Self {
         let repeat = |pair: [i16; 2]| std::array::from_fn(|i| pair[i % 2]);
         Self {
@@ -109,12 +162,13 @@ fn rows_of(samples: &Samples) -> &[[i16; LANES]] {
 }
 
 /// The row of pairs that starts at (x, y).
-#[inline]
+#[inline(always)]
 fn pair_row<const N: usize>(level: &LkLevel, x: isize, y: isize) -> &[i16; N] {
     let row = level.pairs_from(x, y).as_flattened().first_chunk();
     row.expect("a window ends inside the border")
 }
 
+#[inline(always)]
 fn sample_image(level: &LkLevel, place: &Place, weights: &PairWeights, out: &mut Samples) {
     let row = |y: usize| pair_row(level, place.x, place.y + y.cast_signed());
     sample::<INTENSITY_SHIFT>(weights, row, out);
@@ -124,6 +178,7 @@ fn sample_image(level: &LkLevel, place: &Place, weights: &PairWeights, out: &mut
 ///
 /// In a row of pairs p₀p₁ p₁p₂ p₂p₃ ... the same filter applies to both members, with neighbours
 /// two places apart.
+#[inline(always)]
 fn derivatives(level: &LkLevel, place: &Place) -> ([PairRow; WINDOW + 1], [PairRow; WINDOW + 1]) {
     const WITH_NEIGHBOURS: usize = 2 * LANES + 4;
     let mut dx = [[0; 2 * LANES]; WINDOW + 1];
@@ -167,6 +222,7 @@ fn silence_border(level: &LkLevel, place: &Place, rows: &mut [PairRow; WINDOW + 
 }
 
 /// Zeros in the three columns too many.
+#[inline(always)]
 fn silence_extra_columns(samples: &mut Samples) {
     for row in samples.as_flattened_mut().as_chunks_mut::<LANES>().0 {
         row[WINDOW..].fill(0);
@@ -174,7 +230,7 @@ fn silence_extra_columns(samples: &mut Samples) {
 }
 
 /// (Σ weight · neighbour + half) >> SHIFT for 21 rows of samples from 22 rows of pairs.
-#[inline]
+#[inline(always)]
 fn sample<'a, const SHIFT: u32>(
     weights: &PairWeights,
     row: impl Fn(usize) -> &'a PairRow,
@@ -188,7 +244,7 @@ fn sample<'a, const SHIFT: u32>(
 }
 
 /// Adds the lower products of a row to what the row above began, and begins the next.
-#[inline(never)]
+#[inline(always)]
 #[allow(
     clippy::cast_possible_truncation,
     reason = "clamped to 16 bits, which no weighted mean of pixels exceeds"
@@ -214,6 +270,7 @@ fn finish_and_begin<const SHIFT: u32>(
 }
 
 /// Σ aᵢ bᵢ over the window.
+#[inline(always)]
 fn dot(a: &Samples, b: &Samples) -> i64 {
     let group = |(a, b): (&Group, &Group)| -> i32 {
         let pairs = a.iter().zip(b);

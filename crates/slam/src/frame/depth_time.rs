@@ -15,7 +15,7 @@
 //! Two rounds, from z = D(u, v). Distortion is left out: it bends a motion of a few pixels by a small part.
 
 use garad_core::{Camera, DepthImage, Par, Se3};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 /// Rounds of the fixed point: the first finds the pixel to within a surface's slope, the second its depth.
 const ROUNDS: usize = 2;
@@ -29,18 +29,31 @@ pub(crate) fn depth_at_colour_time(
     par: Par,
 ) -> DepthImage {
     let (width, height) = depth.size();
-    let rows = par.map_chunks(height, ROWS, |rows| {
-        let pixels = rows.flat_map(|y| (0..width).map(move |x| (x, y)));
-        let at = |(x, y)| seen_from_colour(depth, camera, depth_from_colour, x, y);
-        pixels.map(at).collect::<Vec<f32>>()
+    let mut seen = DepthImage::new(width, height, 0.0);
+    let rotation = depth_from_colour.rotation.matrix();
+    let columns: Vec<f64> = (0..width)
+        .map(|x| (x as f64 - camera.cx) / camera.fx)
+        .collect();
+    par.for_each_chunk_mut(seen.data_mut(), ROWS * width, |rows, out| {
+        for (row, out) in out.chunks_exact_mut(width).enumerate() {
+            let y = rows * ROWS + row;
+            let ray_y = (y as f64 - camera.cy) / camera.fy;
+            for ((out, &there), &ray_x) in out.iter_mut().zip(depth.row(y)).zip(&columns) {
+                let ray = Vector3::new(ray_x, ray_y, 1.0);
+                let pose = (&rotation, &depth_from_colour.translation);
+                *out = seen_from_colour(depth, camera, pose, f64::from(there), ray);
+            }
+        }
     });
-    DepthImage::from_vec(width, height, rows.concat()).expect("a value per pixel")
+    seen
 }
 
 /// Rows handled as one piece of work.
 const ROWS: usize = 16;
 
-/// Depth at a colour pixel, metres; 0 if missing.
+/// Depth on a colour pixel's ray, metres, from the depth `z` that the image has there; 0 if missing. The pose of the
+/// depth camera as rotation and translation.
+#[inline]
 #[allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -49,27 +62,24 @@ const ROWS: usize = 16;
 fn seen_from_colour(
     depth: &DepthImage,
     camera: &Camera,
-    depth_from_colour: &Se3,
-    x: usize,
-    y: usize,
+    (rotation, translation): (&Matrix3<f64>, &Vector3<f64>),
+    mut z: f64,
+    ray: Vector3<f64>,
 ) -> f32 {
-    let mut z = f64::from(depth[(x, y)]);
-    let ray = Vector3::new(
-        (x as f64 - camera.cx) / camera.fx,
-        (y as f64 - camera.cy) / camera.fy,
-        1.0,
-    );
+    let (width, height) = (depth.width() as f64, depth.height() as f64);
     for _ in 0..ROUNDS {
-        let q = *depth_from_colour * (z * ray);
+        let q = rotation * (z * ray) + translation;
         let u = camera.fx * q.x / q.z + camera.cx + 0.5;
         let v = camera.fy * q.y / q.z + camera.cy + 0.5;
         // NaN and what lies outside fail here.
-        if !(z > 0.0 && u >= 0.0 && v >= 0.0) {
+        if !(z > 0.0 && u >= 0.0 && v >= 0.0 && u < width && v < height) {
             return 0.0;
         }
-        match depth.get(u as usize, v as usize) {
-            Some(&there) if there > 0.0 => z += f64::from(there) - q.z,
-            _ => return 0.0,
+        let there = depth[(u as u32 as usize, v as u32 as usize)];
+        if there > 0.0 {
+            z += f64::from(there) - q.z;
+        } else {
+            return 0.0;
         }
     }
     z as f32
