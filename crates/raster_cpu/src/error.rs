@@ -31,14 +31,6 @@ pub enum RasterError {
         /// What was asked for.
         tile_px: usize,
     },
-    /// The image.
-    #[error("image of {width} x {height} px; expected at most {MAX_SIDE_PX} x {MAX_SIDE_PX}")]
-    ImageSize {
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-    },
     /// An array of the map that does not have one row (or one set of SH triples) per Gaussian.
     #[error("map array {array} has {got} rows; expected {expected}")]
     MapLength {

@@ -2,7 +2,7 @@
 
 /// Largest side of an image, pixels. Coordinates up to here are exact in f32 with room for
 /// fractions.
-pub const MAX_SIDE_PX: usize = 16_384;
+pub const MAX_SIDE_PX: usize = garad_core::camera::MAX_SIDE_PX as usize;
 
 /// Which Gaussians are drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -15,10 +15,6 @@ pub(crate) fn check_scene<T: Real>(
     options: &RenderOptions,
 ) -> Result<(), RasterError> {
     camera.validate()?;
-    let (width, height) = (camera.width, camera.height);
-    if width > MAX_SIDE_PX || height > MAX_SIDE_PX {
-        return Err(RasterError::ImageSize { width, height });
-    }
     if !camera_from_world.is_finite() {
         return Err(RasterError::PoseNotFinite);
     }

@@ -13,6 +13,10 @@ mod training;
 
 use super::suspect::Suspect;
 
+/// A larger case gets no readings where each would take more terms: kernel values, or splats at pixels. Every one of a table
+/// is computed by the plain formula, and a small case with the same mistake names it.
+const MAX_TERMS: usize = 4_000_000;
+
 /// A mistake and the numbers it leads to.
 type Reading = (&'static str, Vec<f64>);
 /// The readings of one output; `None` if the case lacks an input.

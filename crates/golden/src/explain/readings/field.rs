@@ -1,6 +1,6 @@
 //! Kernels, mean field and robust kernels with one mistake: docs/math_crf.md, eq. 4 to 6.
 
-use super::Reading;
+use super::{MAX_TERMS, Reading};
 use crate::explain::suspect::Suspect;
 use crate::inputs::{InputError, Inputs};
 
@@ -289,7 +289,7 @@ pub(super) fn kernel(s: &Suspect<'_>) -> Option<Vec<Reading>> {
 pub(super) fn mean_field(s: &Suspect<'_>) -> Option<Vec<Reading>> {
     let model = Model::read(s.case.inputs()).ok()?;
     // Labels agree by chance with many mistakes.
-    if s.output != "q" {
+    if s.output != "q" || model.p.len().pow(2) > MAX_TERMS {
         return None;
     }
     let slips = changed(&model, FIELD_SLIPS).chain(changed(&model, KERNEL_SLIPS));

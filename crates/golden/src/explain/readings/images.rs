@@ -1,7 +1,7 @@
 //! Images with one mistake: docs/math.md R8 to R11.
 
-use super::Reading;
 use super::splats::{Scene, Slip, Splat, column, told_by};
+use super::{MAX_TERMS, Reading};
 use crate::explain::suspect::Suspect;
 
 const MIN_ALPHA: f64 = 1.0 / 255.0;
@@ -119,6 +119,9 @@ fn numbers(
 pub(super) fn readings(s: &Suspect<'_>) -> Option<Vec<Reading>> {
     let scene = Scene::read(s.case.inputs()).ok()?;
     let background = s.case.inputs().row("background").ok()?;
+    if scene.means.len() * s.expected.len() > MAX_TERMS {
+        return None;
+    }
     let one = |(slip, name)| Some((name, numbers(&scene, background, s.output, Some(slip))?));
     Some(told_by(s.output).filter_map(one).collect())
 }
