@@ -6,6 +6,7 @@
 
 mod colour;
 mod field;
+mod harmonics;
 mod images;
 mod reprojection;
 mod splats;

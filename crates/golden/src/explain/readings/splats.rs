@@ -387,7 +387,7 @@ impl Scene {
 
     fn color(&self, i: usize, slip: Option<Slip>) -> [f64; 3] {
         let sh = &self.sh[i];
-        let basis = super::colour::basis(self.direction(i, slip).0);
+        let basis = super::harmonics::basis(self.direction(i, slip).0);
         let half = if slip == Some(Slip::NoHalf) { 0.0 } else { 0.5 };
         [0, 1, 2].map(|c| {
             let signs = |k: usize| match (slip, k) {
