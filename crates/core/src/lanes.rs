@@ -364,6 +364,7 @@ mod tests {
         }
     }
 
+    /// On a processor without AVX2 both sides are portable, and nothing is compared.
     #[test]
     fn every_operation_has_the_same_bits_on_every_level() {
         let (single, double) = dispatch_to(Level::Portable, Everything);
